@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     """
     wait_briefly()
     words = list(sys.argv[1:] if arguments is None else arguments)
-    name = " ".join(words[:2])  # of a group's command
+    name = " ".join(words[:2])  # of a command in a group, such as `sensor fit`
     name, words = (name, words[2:]) if name in commands else ("".join(words[:1]), words[1:])
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the parent process
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
         for number, action in before.items():
-            if signal.getsignal(number) is _stop:  # else this process is ending
+            if signal.getsignal(number) is _stop:  # else a signal is ending this process
                 signal.signal(number, action)
 
 

@@ -69,7 +69,7 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
             )
     except CycloptsError as error:
         wrong = str(error).rstrip(".")
-        if isinstance(error, MissingArgumentError) and error.keyword is None:  # not even its name is there
+        if isinstance(error, MissingArgumentError) and error.keyword is None:  # the option was not given at all
             wrong = wrong.replace("requires an argument", "is missing")
         raise BadConfig(f"{wrong} (see {program} --help)") from None
     sys.stdout.write("".join(f"{line.rstrip()}\n" for line in page.getvalue().splitlines()))

@@ -68,7 +68,7 @@ class Progress:
         sys.stderr.flush()
 
     def _tick(self) -> None:
-        """Repeat the last line, with the seconds now, or move the bar's clock on, where no update comes."""
+        """While no update comes, repeat the last line with the time that has passed, or move the bar's clock on."""
         while not self._ended.wait(self._interval_s / 9):
             with self._lock:
                 if self._ended.is_set():

@@ -48,7 +48,7 @@ _TAKEN: Final = {
     RENDERS: ("path", "layout", "projector"),
     ROOMS: ("rig", "units", "up", "samples", "split", "kinds", "without", "scene"),
 }
-_ALSO: Final = ("path", "rig", "units", "up")  # of these, of bodies, too
+_ALSO: Final = ("path", "rig", "units", "up")  # options of `_TAKEN` that sources of bodies have, too
 _WHY: Final = {
     RENDERS: "they are finished scenes, with rig and classes of their own",
     ROOMS: "all in them is drawn by their keys",
@@ -118,7 +118,7 @@ class Options:
         pitch, roll, height = (parse_choice(getattr(self, at), f"--{at}") for at in ("pitch", "roll", "height"))
         views = ViewGrid(self.distances, self.azimuths, self.azimuth_span, self.views, pitch, roll, height)
         given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(Packing)}
-        path, landmarks = (each and each.absolute() for each in (self.path, self.landmarks))  # for workers elsewhere
+        path, landmarks = (each and each.absolute() for each in (self.path, self.landmarks))  # of this folder
         return Packing(**given | {"path": path, "landmarks": landmarks, "views": views, "rig": load_rig(self.rig)})
 
 

@@ -163,7 +163,7 @@ _UNFIT: Final = object()
 
 
 def _as(value: Any, kind: Any) -> Any:
-    """The value as a field of this type holds it, `_UNFIT` if it cannot; a whole number beyond floats stays one."""
+    """The value converted to a field's type, `_UNFIT` if it does not fit; an int too large for a float stays an int."""
     choices, origin = typing.get_args(kind), typing.get_origin(kind)
     if kind in (float, int):
         is_number = isinstance(value, Real if kind is float else Integral) and not isinstance(value, bool)

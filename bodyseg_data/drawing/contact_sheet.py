@@ -20,8 +20,8 @@ from bodyseg_data.samples import HELD, Sample
 Window = tuple[slice, slice]
 """Rows and columns."""
 
-_MARGIN: Final = 0.08  # of the longer side of what is measured, around it
-_MOST_CROPPED: Final = 0.4  # images stay whole where the window would keep more of them than this share
+_MARGIN: Final = 0.08  # around what is measured, as a share of its longer side
+_MOST_CROPPED: Final = 0.4  # share of an image up to which it is cropped to a window; with more, it stays whole
 
 _GAP: Final = 6
 _CAPTION: Final = 20

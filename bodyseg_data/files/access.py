@@ -27,7 +27,7 @@ from bodyseg_data.core import BadConfig, reported
 _LARGEST_FILE: Final = 1 << 31
 _LARGEST_JSON: Final = 1 << 26  # objects of Python take twenty times as many bytes
 _LARGEST_TOML: Final = 1 << 20
-# A key of more than 17 parts, whose prefixes `tomllib` would keep one by one: 9 GB of 50 000 parts.
+# A key of more than 17 parts: `tomllib` keeps every prefix of a key, 9 GB for one of 50 000 parts.
 _DOTTED: Final = re.compile(r"""(?:(?<![\w"'-])(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){17}""")
 _CHUNK_BYTES: Final = 1 << 20
 _PART: Final = ".part"
@@ -192,7 +192,7 @@ def sync(path: Path) -> None:
         try:
             os.fsync(handle)
         except OSError as error:
-            if error.errno != errno.EINVAL:  # of folders on file systems that cannot sync them, as shared with a guest
+            if error.errno != errno.EINVAL:  # a file system that cannot sync folders, as one shared with a guest
                 raise
 
 

@@ -34,7 +34,7 @@ REST: Final = "*"
 _DARKEST: Final = 70.0
 _LIGHTEST: Final = 225.0
 _STRONG: Final = 0.9
-_PALE: Final = 0.4  # saturation of pairs, and of classes of the middle
+_PALE: Final = 0.4  # saturation of classes of the middle; `_STRONG` is that of pairs
 
 _ORDER: Final = ("right", "middle", "left")
 _GOLDEN: Final = 0.6180339887
@@ -161,7 +161,7 @@ def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes
         if not isinstance(entry, LabelClass):
             raise BadConfig(f"a class must be a name or a LabelClass, found {entry!r}")
     if not all(isinstance(entry.name, str) for entry in entries):
-        return Classes(name, entries)  # which refuses it in words that readers of files know, too
+        return Classes(name, entries)  # raises, in the same words as for classes in files
     stated = {entry.name: entry.mirror for entry in entries if isinstance(entry.mirror, str)}
     stated = {other: one for one, other in stated.items()} | stated
     free = {entry.name for entry in entries} - set(stated)

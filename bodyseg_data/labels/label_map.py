@@ -305,7 +305,7 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
     if isinstance(labels, LabelMap):
         if labels.template is None and labels.name in _FILES.names()[1:]:
             shipped = load_label_map(labels.name)
-            labels = shipped if shipped == labels else labels  # one that was stored, with a network, without regions
+            labels = shipped if shipped == labels else labels  # as stored with a network, it lacks its regions
         if labels.template is None and (differing := whole_map(labels.of).difference(whole_map(of))):
             raise BadConfig(f"labels {labels.name!r} are of other classes than the set's: found {differing}")
         return labels

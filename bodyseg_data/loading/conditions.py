@@ -197,7 +197,7 @@ def table_of(fields: Fields, chosen: Sequence[tuple[ShardRecord, Sequence[int]]]
     }
     for name, (at, column) in fields.places.items():
         array = _array([row[column] for row in table.tables[at]], fields.kinds[name])[table.rows[at][own]]
-        whole = isinstance(array, np.ma.MaskedArray) and not array.mask.any()  # none without it is among the chosen
+        whole = isinstance(array, np.ma.MaskedArray) and not array.mask.any()  # all chosen samples have a value
         found[name] = array.data if whole else array
     return found
 

@@ -208,9 +208,9 @@ _DISPATCHER: Final = "DataLoaderDispatcher"  # of Accelerate: reads on rank 0 al
 
 
 def _other_sharding(frame: FrameType | None) -> str | None:
-    """Name the object that shares batches out to ranks among those whose methods iterate an order, None for none.
+    """Name the object that divides batches among ranks, if a method of one is on the stack from `frame` up, else None.
 
-    Frameworks wrap a loader's batch sampler, or the loader, without telling it. Only who calls tells it.
+    Frameworks wrap a loader's batch sampler, or the loader, without telling it: only the stack of calls shows them.
     """
     for _ in range(_FRAMES_UP):
         if frame is None:

@@ -188,7 +188,7 @@ class Loader:
         try:
             state = self._idle_workers()
             ahead.start(images.reader.store for images in self.images.sets)
-            self._tallied = [np.sum(self._tallied, axis=0), *ahead.rows]  # of earlier passes, the sum alone
+            self._tallied = [np.sum(self._tallied, axis=0), *ahead.rows]  # earlier passes are kept as one sum
             for number in range(min(self._prefetched, len(plan))):
                 _submit(state, plan, number)
             for number in range(len(plan)):
@@ -206,7 +206,7 @@ class Loader:
         except GeneratorExit:
             raise  # the next pass discards the batches in flight
         except BaseException:
-            ahead.close()  # first, or workers might wait for it
+            ahead.close()  # before the workers, which might wait for it
             if self._passes == this and self._state is not None:
                 ending, self._state = self._state, None  # before closing, which may be interrupted, too
                 self._tallied.append(ending.slots.tallies().sum(0))

@@ -335,7 +335,7 @@ class Mixture(SampleDataset):
         if not shuffle:
             return Requests(indices, epochs)
         mixed = permutation(len(self), self.seed, epoch, "mixture")
-        if shuffle == "blocks":  # which set comes when, as without blocks
+        if shuffle == "blocks":  # sets take the same turns as without blocks
             mixed[np.argsort(np.searchsorted(np.cumsum(counts), mixed, side="right"), kind="stable")] = np.arange(end)
         return Requests(indices[mixed], epochs[mixed])
 

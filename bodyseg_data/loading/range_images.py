@@ -135,7 +135,7 @@ class RangeImages(SampleDataset):
         self.label_map = whole_map(classes) if labels is None else load_label_map(labels, classes)
         on_template = (TEMPLATE,) if self.label_map.template is not None else ()
         asked = (*texts_of("planes", planes), *on_template)
-        named = (*named_fields(where), *asked, *(("subject",) if val_share else ()))  # by subject, val and the rest
+        named = (*named_fields(where), *asked, *(("subject",) if val_share else ()))  # val is chosen by subject
         self.columns = open_columns(store, self.manifest, texts_of("columns", columns), named)
         self.manifest = with_columns(self.manifest, self.columns)
         self.split, self.seed = split, seed
@@ -222,7 +222,7 @@ class RangeImages(SampleDataset):
         return self._shaded(sample) if self.occluder == "camera" else sample
 
     def _regions_of(self, path: str) -> NDArray[np.uint8]:
-        """The label of each number of the plane `TEMPLATE`, uint8 [65536], of regions that become the set's classes."""
+        """The label of each number of the plane `TEMPLATE`, uint8 [65536]; makes the regions the set's classes."""
         from bodyseg_data.bodies import load_template, region_labels
 
         if self.columns[TEMPLATE].source != load_template().name:
@@ -252,7 +252,7 @@ class RangeImages(SampleDataset):
         return self._augmentations[number]
 
     def _shaded(self, sample: Sample) -> Sample:
-        """The sample with the projector's range made of the camera's."""
+        """The sample with the projector's range computed from the camera's."""
         known = None if sample.occupancy is None else replace(sample.occupancy, texels=None)
         cast = seen_by_projectors(sample.range, self.manifest.rig_of(sample))
         return replace(sample, projector_range=cast, occupancy=known)

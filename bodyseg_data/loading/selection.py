@@ -32,7 +32,7 @@ BodyRow = tuple[str, ...]
 BLOCK_SAMPLES: Final = 32
 """Samples of a block of `BlockOrder`, neighbours in the manifest's order."""
 
-_FIRST_PARTS: Final = (0, 4, 12, 28)  # first blocks of its first parts; each further part has 32
+_FIRST_PARTS: Final = (0, 4, 12, 28)  # first block of each of its first parts; further parts have 32 blocks each
 
 
 def permutation(count: int, seed: int, epoch: int, purpose: str = "order") -> NDArray[np.int64]:
@@ -154,7 +154,7 @@ class Selection:
     def _filtered(self, manifest: Manifest, numbers: Sequence[int]) -> ChosenSamples:
         """Choose the samples of some shards whose keys and descriptions fit, one shard after the other."""
         parts = self._parts_of_train(manifest) if self.divides_train else {}
-        named = set(self.only)  # keys, of which there may be as many as samples: no key has a mark of a pattern
+        named = set(self.only)  # keys, perhaps as many as samples, and patterns, whose marks no key has
         patterns = [re.compile(fnmatch.translate(each)).match for each in named if any(mark in each for mark in "*?[")]
         marks = []
         for number in numbers:
@@ -259,7 +259,7 @@ def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:
     for row in bodies:
         _, subset, subject, mesh, pose = row
         within: Group = ()
-        if people[subset] * share < 1 - 1e-12:  # 49 people are enough for 1 / 49, a float
+        if people[subset] * share < 1 - 1e-12:  # rounded: 49 people are enough for a share of 1 / 49
             within = (mesh,) if holds_postures(subset) else (pose,)
         found[row] = (subset, subject, *within)
     return found

@@ -224,7 +224,7 @@ class Remnants(Checked, Transform):
         own = np.where(body, in_cells.sum(axis=(1, 3)) / np.maximum(counts, 1), np.inf)
         outline, away = _spread(own, math.ceil(reach / _CELL))
         left_in = away * _CELL < reach * np.clip((_smooth(rows, columns, a_metre, random) + bias) / 2, 0, 1)
-        amid = np.logical_and.reduce(_around(body, 1, corners=True))  # its lost pixels show no wall
+        amid = np.logical_and.reduce(_around(body, 1, corners=True))  # pixels lost amid a body show no wall
         left_in &= (away > 0) | ~amid
         down, across = (
             (np.arange(size) - size / 2) * (_CELL / a_metre / image.step_m) * most * (2 * unit(random) - 1)
@@ -242,10 +242,10 @@ def _measured(
 ) -> NDArray[np.float64]:
     """Ranges [H, W] of a wall, in steps, with the noise of a body's, and 0 where it is lost as the body's pixels are.
 
-    covered: pixels of the cells with any of the body. Up to a fifth of them may lie beside it: then none is lost.
+    covered: pixels of cells with any of the body. If up to a fifth of them are 0, these are beside it: none is lost.
     """
     apart = np.abs(np.diff(body.astype(np.int32), axis=1))[(body[:, 1:] > 0) & (body[:, :-1] > 0)]
-    deviation = float(np.median(apart)) / 0.954 if len(apart) else 0.0  # of normal noise, from pairs of pixels
+    deviation = float(np.median(apart)) / 0.954 if len(apart) else 0.0  # of normal noise, by differences of pixels
     words = random.bit_generator.random_raw((body.size + 1) // 2).view(np.uint16).reshape(-1, 2)
     noise, kept = (words[: body.size, of].reshape(body.shape) / 65536 for of in (0, 1))
     seen = np.count_nonzero(body) / max(1, covered)
@@ -264,7 +264,7 @@ def _of_pixels(cells: NDArray[Any]) -> NDArray[Any]:
 
 
 def _around(cells: NDArray[Any], value: float, corners: bool) -> list[NDArray[Any]]:
-    """The cells [h, w] beside each, `value` outside; with `corners`, eight of them, else four."""
+    """The four cells [h, w] beside each; with `corners` all nine around it, itself included. `value`: outside."""
     rows, columns = cells.shape
     padded = np.pad(cells, 1, constant_values=value)
     every = [(down, across) for down in range(3) for across in range(3) if corners or (down + across) % 2]
@@ -279,7 +279,7 @@ def _spread(own: NDArray[np.float64], rings: int) -> tuple[NDArray[np.float64], 
     for ring in range(1, rings + 1):
         nearest = np.minimum.reduce(_around(found, np.inf, corners=ring % 2 == 0))
         new = (found == np.inf) & (nearest < np.inf)
-        if not new.any():  # all have one, or none
+        if not new.any():  # all cells have one, or none has
             break
         found[new], away[new] = nearest[new], ring
     return np.where(found < np.inf, found, 0.0), away

@@ -166,7 +166,7 @@ class ThreadWorkers(Workers):
         for _ in self._threads:
             self._requests.put(None)
         for thread in self._threads:
-            if thread is not threading.current_thread():  # the garbage collector may run there
+            if thread is not threading.current_thread():  # where the garbage collector may call this
                 thread.join(END_TIMEOUT_S)
         self._threads = []
         self._answers.clear()

@@ -20,12 +20,12 @@ _INSTRUCTIONS: Final = {"amx_tile": "AMX", "avx512f": "AVX-512"}
 _BFLOAT16: Final = frozenset({"amx_bf16", "avx512_bf16"})
 """The flags of processors with instructions for bfloat16; others compute it by way of float32, slower than that."""
 
-_SHARE: Final = "/sys/fs/cgroup/cpu.max"  # of a container, as of `docker run --cpus 2`: microseconds in a period
+_SHARE: Final = "/sys/fs/cgroup/cpu.max"  # a container's microseconds a period, as by `docker run --cpus 2`
 
 _TRIM_THRESHOLD: Final = (-1, 1 << 28)
 _MMAP_THRESHOLD: Final = (-3, 1 << 25)
-"""Numbers of glibc's mallopt, and bytes: free memory that is kept, and an array that has a mapping of its own. The
-greatest of the second is 32 MB."""
+"""Parameters of glibc's mallopt, each with its bytes: how much free memory is kept, and from which size on an array has
+a mapping of its own, 32 MB at most."""
 
 
 def processors() -> int:
@@ -39,7 +39,7 @@ def hardware() -> str:
     """Describe processors and memory in one line: "2 cores of Intel Xeon Processor with AMX (x86_64), 24 GiB"."""
     about = _lines("/proc/cpuinfo")
     names = [line.partition(":")[2] for line in about if line.startswith("model name")]
-    names = names or _lines("/proc/device-tree/model") or [platform.processor() or "unknown"]  # ARM has no names
+    names = names or _lines("/proc/device-tree/model") or [platform.processor() or "unknown"]  # ARM's list has no names
     name = " ".join(_TRADE_MARK.sub("", names[0]).strip("\0").split())
     name += next((f" with {words}" for flag, words in _INSTRUCTIONS.items() if flag in _flags(about)), "")
     kilobytes = [int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemTotal")]

@@ -62,9 +62,9 @@ class NotYet(Exception):
 
 
 class _IfReady(threading.local):
-    """Context for loops behind which NumPy's form stands: `with if_ready: return loops(...).f(x)`.
+    """Context for loops that are followed by their NumPy form: `with if_ready: return loops(...).f(x)`.
 
-    A loop without machine code raises NotYet before it has done anything, which ends the context alone; another process
+    A loop without machine code raises NotYet before it has done anything, and only the context ends; another process
     then compiles it. Outside of the context, a call compiles it.
     """
 
@@ -99,7 +99,7 @@ def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> An
 
 
 class _Kept:
-    """Machine code of a function on disk, in the place of numba's cache, which it uses."""
+    """Machine code of a function on disk. Numba takes it for its own cache of the function, which it uses."""
 
     def __init__(self, loops: Callable[..., Any]) -> None:
         self._loops = loops
@@ -144,7 +144,7 @@ class _Kept:
         found = self.kept(signature, context)
         if found is not None or (process is not None and process.returncode):
             if found is None:
-                _failed.append(signature)  # what is wrong, this process says when it compiles
+                _failed.append(signature)  # this process will compile, and so say what is wrong
             return found
         if sum(each.poll() is None for each in _processes) < processors():
             try:
@@ -156,7 +156,7 @@ class _Kept:
 
     def kept(self, signature: Any, context: Any) -> Any:
         """Machine code that is on disk, or None. Files that a power cut has cut short are removed."""
-        # numba would load all that its compiler knows of Python and NumPy here, and SciPy, for half a second.
+        # Else numba would first load all that its compiler knows of Python, NumPy and SciPy, for half a second.
         import_module("numba.core.runtime").rtsys.initialize(context)
         if self.files is not None:
             try:
@@ -185,7 +185,7 @@ def compile_ahead(first: Any, work: Callable[[], None]) -> None:
 
 _COMPILING: Final = "compiling"
 _processes: list[subprocess.Popen[bytes]] = []
-_failed: list[Any] = []  # what other processes were to compile and did not; this one compiles from then on
+_failed: list[Any] = []  # signatures that another process failed to compile; from then on this one compiles
 
 
 def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subprocess.Popen[bytes]:
@@ -197,7 +197,7 @@ def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subproc
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C is not for it
+        start_new_session=True,  # Ctrl-C must not reach it
     )
     _processes.append(process)
     with process.stdin as pipe:  # type: ignore[union-attr]
@@ -207,7 +207,7 @@ def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subproc
 
 
 def compile_sent() -> None:
-    """Do what `_send` has sent, unless a third process is at it; ends with an error if code cannot be kept."""
+    """Do what `_send` has sent, unless another process compiles already; ends with an error if code cannot be kept."""
     folder, module, name = pickle.load(sys.stdin.buffer)
     with _locked(Path(folder) / _COMPILING) as free:
         if not free:

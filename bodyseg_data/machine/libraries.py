@@ -102,23 +102,23 @@ def opened_picture(file: Any, formats: tuple[str, ...], strict: bool = False) ->
                 warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
             elif strict:
                 raise ValueError(str(each.message))
-        for tile in [each for each in picture.tile if each[0] == "libtiff"]:  # one, in the machine's order of bytes
-            native = re.sub("(;16(?=BS)|;32|;64)B", r"\1N", tile[3][0])  # as Pillow has it for 16 bits without a sign
+        for tile in [each for each in picture.tile if each[0] == "libtiff"]:  # in the machine's byte order
+            native = re.sub("(;16(?=BS)|;32|;64)B", r"\1N", tile[3][0])  # as Pillow does for unsigned 16 bits
             picture.tile = [getattr(tile, "_make", tuple)((*tile[:3], (native, *tile[3][1:])))]
         yield picture
 
 
 @cache
 def _prepare_tiff() -> None:
-    """Have Pillow read floating point of 64 bits, which it decodes and only has no name for; and its libtiff print no
-    lines of its own on standard error: what it cannot read, Pillow raises.
+    """Have Pillow read floating point of 64 bits, which it can decode but does not list. Keep its libtiff from printing
+    on standard error: Pillow raises what cannot be read.
     """
     from PIL import TiffImagePlugin, _imaging
 
     for order, raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
-        for grey in (0, 1):  # either way
+        for grey in (0, 1):  # 0 is white, or black
             TiffImagePlugin.OPEN_INFO.setdefault((order, grey, (3,), 1, (64,), ()), ("F", raw))
-    with contextlib.suppress(OSError, AttributeError):  # a Pillow without it
+    with contextlib.suppress(OSError, AttributeError):  # a Pillow without libtiff
         library = ctypes.CDLL(_imaging.__file__)  # whose dependencies are searched, too
         for name in ("TIFFSetErrorHandler", "TIFFSetWarningHandler"):
             getattr(library, name)(None)

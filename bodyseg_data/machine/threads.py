@@ -40,7 +40,7 @@ def of_each(function: Callable[[Item], Result], items: Sequence[Item], threads: 
     """Call `function` with each item, in at most so many threads, this one among them: each takes the next that is
     left. Returns the results in the order of the items; raises what `function` does.
     """
-    left: Iterator[tuple[int, Item]] = iter(list(enumerate(items)))  # one step of it is never taken by two threads
+    left: Iterator[tuple[int, Item]] = iter(list(enumerate(items)))  # no two threads get the same item
     found: dict[int, Result] = {}
 
     def work(_first: int, _behind: int) -> None:

@@ -14,11 +14,11 @@ from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes.mending import welded
 from bodyseg_data.meshes.mesh import Floats, face_components, face_normals
 
-_TRUNK_M: Final = 0.5  # from the PSIS to the Cervicale of a person; the lengths below are for that and grow with it
+_TRUNK_M: Final = 0.5  # from the PSIS to the Cervicale; the lengths below are for such a trunk, and grow with it
 _LEAST_TRUNK_M: Final = 0.1
 _PLATE_M: Final = 0.3  # least width of a plate
-_THIN: Final = 0.1  # of its width
-_THICK: Final = 0.25  # of that of a platform under the feet
+_THIN: Final = 0.1  # largest thickness of a plate, as a share of its width
+_THICK: Final = 0.25  # the same of a platform under the feet
 _NEAR_FEET_M: Final = 0.1
 _APART_M: Final = 0.5  # most of what people wear is nearer to the body, wide skirts included
 _LEVEL: Final = 0.94  # vertical part of a floor's normal
@@ -50,7 +50,7 @@ def check_body(vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Flo
 
 
 def _handed(points: dict[str, Floats], pairs: tuple[str, ...], up: Floats, front: Floats) -> float:
-    """1 where left x up is the front, -1 where it is the back; left: from the right ones of pairs to the left ones."""
+    """How far left x up points to the front, 1, or to the back, -1; left: from the right of each pair to the left."""
     left = np.sum([points[f"Lt. {name}"] - points[f"Rt. {name}"] for name in pairs], axis=0)
     lengths = float(np.linalg.norm(left) * np.linalg.norm(up) * np.linalg.norm(front))
     return float(np.cross(left, up) @ front) / max(lengths, 1e-12)
@@ -64,7 +64,7 @@ def _check_alone(vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: F
     """Raise BadMesh for a piece without a landmark, flat or apart, or a level surface away from all at the bottom."""
     from scipy.spatial import KDTree
 
-    used, corners = np.unique(faces, return_inverse=True)  # others may lie anywhere
+    used, corners = np.unique(faces, return_inverse=True)  # vertices without faces may lie anywhere
     kept, place = welded(vertices[used])
     points, corners = vertices[used][kept], place[corners].reshape(-1, 3)
     piece = face_components(len(points), corners)

@@ -192,7 +192,7 @@ class PointLandmarks:
             raise BadLandmarks(f"{where}: landmarks lie within {100 * FARTHEST_M:g} cm of the surface, found {off}")
         vertices, notes = separate(mesh, nearest.astype(np.int64), self.points, where)
         piece = mesh.pieces()[vertices]
-        if (piece != piece[0]).any():  # pieces for want of common vertices are one surface
+        if (piece != piece[0]).any():  # pieces that only lack common vertices are one surface
             kept, place = welded(mesh.vertices)
             piece = face_components(len(kept), place[mesh.faces])[place[vertices]]
         body = np.bincount(piece).argmax()

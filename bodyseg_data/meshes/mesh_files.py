@@ -45,7 +45,7 @@ MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
 LARGEST_BYTES: Final = 1 << 28
 """Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
 
-_FOLD: Final = 1e-4  # share of a polygon's area; less is rounding, as of quads of 2 cm to a micrometre
+_FOLD: Final = 1e-4  # share of a polygon's area that a triangle folds back; less is rounding, as of quads of 2 cm
 
 _OFF_HEADER: Final = re.compile(r"(?:ST|C|N)*OFF\b|OFF(?=\d)")
 
@@ -322,7 +322,7 @@ def _ears(points: list[list[float]]) -> list[tuple[int, int, int]]:
     concave = [b for b in ring if area(b - 1, b, (b + 1) % len(ring)) <= rounding]
     while len(ring) > 2:
         around = [(at + step) % len(ring) for step in range(len(ring))]
-        # No cut may run through a corner, as of the next door of a wall, unless rounding leaves none that runs by.
+        # No cut may pass through a corner, such as that of the next door, unless rounding leaves no other cut.
         cuts = (each for slack in (rounding, 0.0, -rounding) for each in around if is_ear(each, slack))
         at = next(cuts, around[0])
         ears.append((ring[at - 1], ring[at], ring[(at + 1) % len(ring)]))

@@ -55,7 +55,7 @@ def repair(name: str, vertices: Floats, faces: NDArray[Any]) -> tuple[Floats, ND
     missing vertices, a one-sided surface), MissingLibrary without pymeshlab or the system libraries it loads.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
-    check_arrays(f"mesh {name}", vertices, faces, check_unused=False)  # which pymeshlab does not
+    check_arrays(f"mesh {name}", vertices, faces, check_unused=False)  # pymeshlab checks nothing
     used, renumbered = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], renumbered.reshape(faces.shape).astype(np.int32)
     vertices, faces = with_pymeshlab(_FEATURE, lambda pymeshlab: _filtered(pymeshlab, name, vertices, faces))

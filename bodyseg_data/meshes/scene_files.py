@@ -62,7 +62,7 @@ def mesh_content(path: Path) -> MeshContent:
         data, names = (data, {}) if kind == "stl" else _for_trimesh(data, beside, path)
         scene = trimesh.load(BytesIO(data), kind, beside, force="scene", process=False)
         posed = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
-        # Of each of several primitives, trimesh makes a node: "NUMBER_" and some letters.
+        # trimesh divides a mesh of several primitives into a node each, named "NUMBER_" and some letters.
         parts = [(names.get(node.split("_")[0], ""), pose, scene.geometry[name]) for node, pose, name in posed]
         return _joined([each for each in parts if len(getattr(each[2], "faces", ()))], path)
     except BadMesh:
@@ -73,9 +73,9 @@ def mesh_content(path: Path) -> MeshContent:
 
 
 def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[bytes, dict[str, str]]:
-    """The text of a glTF file whose nodes have no names and no cameras, and number -> name: trimesh renames nodes of
-    one name, and leaves out a camera's with all below it. beside: buffers by URI; gets that of a binary file. Raises
-    BadMesh for geometry that trimesh would leave out or misplace.
+    """The text of a glTF file with the names and cameras of its nodes removed, and number -> name of each: trimesh
+    renames nodes of one name, and leaves out a node with a camera and all below it. beside: buffers by URI; gets that
+    of a binary file. Raises BadMesh for geometry that trimesh would leave out or misplace.
     """
     begin, end = (20, 20 + int.from_bytes(data[12:16], "little")) if data[:4] == b"glTF" else (0, len(data))
     tree = parse_json(data[begin:end], "its text")
