@@ -42,12 +42,12 @@ _ADVICE: Final = {
 }
 _SEEN_BODIES: Final = 8
 
-# A body model, torch's number of threads and OpenGL are a process's, not a thread's.
+# Threads of a process share the body model, torch's number of threads and OpenGL, so one job runs at a time.
 _one_at_a_time = threading.RLock()
 
 CONNECT_TIMEOUT_S: Final = 5.0
 """The time that a scheduler may take to answer, and a first worker to appear."""
-_ASK_S: Final = 10.0  # after which it is asked whether the scheduler is still there; a result may take as long to come
+_ASK_S: Final = 10.0  # interval at which a wait for a result checks that the scheduler is there; it may take longer
 
 
 @dataclass(frozen=True)
@@ -98,13 +98,13 @@ def facts(packing: Packing, token: str) -> dict[str, str]:
 
 
 def _fingerprint(packing: Packing, body: BodyRef) -> str:
-    with suppress(*SKIPPABLE):  # packing reports it, with all others
+    with suppress(*SKIPPABLE):  # packing reports it with all other faults
         return packing.opened().fingerprint([body])
     return "at fault"
 
 
 def _built(packing: Packing, bodies: list[BodyRef]) -> bytes:
-    """The first body that can be built: libraries choose instructions by processor, and last bits differ with them."""
+    """Bytes of the first body that can be built: its last bits differ with the instructions that libraries choose."""
     for ref in bodies:
         with suppress(*SKIPPABLE):
             body = packing.opened().build(ref)
@@ -135,7 +135,7 @@ async def check(wanted: Expected) -> str | None:
 def job(wanted: Expected, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """Call `function` on a worker; a BodysegError is returned, not raised, so that no log holds a traceback."""
     with _one_at_a_time:
-        problem = fault(wanted)  # known already, unless this worker came late
+        problem = fault(wanted)  # remembered, unless this worker came late
         if problem is not None:
             return BadConfig(f"worker {socket.gethostname()} {problem}")
         try:
@@ -198,7 +198,7 @@ async def _identify(distributed: Any, address: str) -> str:
 
 
 def _checked_workers(client: Any, wanted: Expected, scheduler: str) -> int:
-    """Number of workers of the cluster. Raises BadConfig for none, and one that is no good."""
+    """Number of workers of the cluster. Raises BadConfig if there is none, or if one would give other bytes."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
     except Exception as error:
@@ -236,7 +236,7 @@ class _Cluster(Executor):
 
 
 class _Answer(Future[Any]):
-    """A result, whose errors are one line. Nothing else holds Dask's future, with which the cluster forgets it."""
+    """A result, whose errors are one line. It alone holds Dask's future: the cluster forgets a result with that."""
 
     def __init__(self, cluster: _Cluster, inner: Any, body: str) -> None:
         super().__init__()
@@ -254,7 +254,7 @@ class _Answer(Future[Any]):
                 found = self._inner.result(_ASK_S)
                 break
             except TimeoutError:
-                # Dask forgets whoever waits for a result that is on its way when the scheduler goes.
+                # If the scheduler goes while a result is on its way, Dask lets its reader wait for ever.
                 self._cluster.check_scheduler()
             except CancelledError:
                 self._cluster.check_scheduler(running=False)

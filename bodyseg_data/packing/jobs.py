@@ -63,7 +63,7 @@ def processes(workers: int | None) -> Iterator[Engine]:
     try:
         yield Engine(executor, count)
     except BaseException:
-        # No result under way will be used: the user need not wait for it.
+        # No result under way will be used, so the user need not wait for one.
         for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
         raise
@@ -72,7 +72,7 @@ def processes(workers: int | None) -> Iterator[Engine]:
 
 
 class _Job(Future[Any]):
-    """A future that may be cancelled before its worker is killed: Python 3.11 prints a traceback then."""
+    """A future that may be cancelled before its worker is killed, where Python 3.11 would print a traceback."""
 
     def set_exception(self, exception: BaseException | None) -> None:
         with suppress(InvalidStateError):
@@ -80,11 +80,11 @@ class _Job(Future[Any]):
 
 
 class _Workers(ProcessPoolExecutor):
-    """Processes that Ctrl-C on a terminal does not reach: it goes to this one, which ends them."""
+    """Processes that Ctrl-C on a terminal does not reach: this process gets it, and ends them."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        # Workers are started in here. They start with the signals blocked that are blocked now; and a signal that
-        # came between starting one and initialising it would leave it behind, with a traceback of its own.
+        # Workers start in `submit`, with the signals blocked that are blocked now. Others are held: one that came
+        # between start and initialisation would leave the worker behind, with a traceback of its own.
         with signals_held():
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:

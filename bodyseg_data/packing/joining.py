@@ -32,9 +32,9 @@ from bodyseg_data.shards import (
 )
 
 _SAME: Final = ("plan", "rigs", "classes", "projector", "planes", "codec", "source", "renderer")
-"""Fields of manifests that parts of one set have in common; the first differs where a writer's options do."""
+"""Fields of manifests that parts of one set have in common; `plan` differs wherever a writer's options do."""
 
-_Place = tuple[str, int, int, int]  # a sample: its key, the numbers of its part and shard, and its own there
+_Place = tuple[str, int, int, int]  # a sample: key, number of its part, number of its shard there, its own in that
 
 
 def join(
@@ -81,7 +81,7 @@ def join(
 
 
 def _parts(folders: Sequence[Path]) -> list[Path]:
-    """The folders of sets, those of parts in place of a folder that holds them. Raises BadConfig for a missing part."""
+    """The folders of sets; for a folder that holds parts, those of its parts. Raises BadConfig for a missing part."""
     found: list[Path] = []
     for folder in folders:
         inside = sorted(folder.glob("part-?????-of-?????"))

@@ -36,18 +36,18 @@ WITHIN: Final = 95
 the slightest change of the edge shows the surface behind it, however far that is."""
 
 _FEATURE: Final = "reducing a mesh"
-_STEP: Final = 0.6  # of the triangles stay at least, each time: gentle steps end with a better mesh than one leap
-_STEEPEST: Final = 2.0  # the error of scans grows as a power of the count that is seldom higher; too far costs double
-_LITTLE: Final = 0.85  # a step that leaves more than that of the triangles saves less than sorting all edges costs
-_AIM: Final = 0.95  # of the tolerance, where a step is worked out from errors before it
-_TRIES: Final = 2  # between a mesh that is fine enough and one that is not
-_COARSER_PIXELS: Final = 4  # a side: every sixteenth ray measures the same error
+_STEP: Final = 0.6  # least share of triangles that a step leaves: gentle steps end with a better mesh than one leap
+_STEEPEST: Final = 2.0  # power of the count by which errors of scans grow, seldom higher; a step too far costs double
+_LITTLE: Final = 0.85  # a step that leaves a larger share of the triangles saves less than sorting all edges costs
+_AIM: Final = 0.95  # share of the tolerance that a step aims at, by the errors before it
+_TRIES: Final = 2  # steps between a mesh that is fine enough and one that is not
+_COARSER_PIXELS: Final = 4  # along a side: every sixteenth ray measures the same error
 _AZIMUTHS_DEG: Final = (0, 90, 180, 270)
 _REST: Final = {
     "targetperc": 0.0, "qualitythr": 0.3, "boundaryweight": 1.0, "planarquadric": False, "planarweight": 0.001,
     "qualityweight": False, "autoclean": True,
 }  # fmt: skip
-"""The filter's defaults. A call takes every option that it leaves out from the call before, so none may be left out."""
+"""The filter's defaults, all given each time: for an option that is left out, a call takes that of the call before."""
 
 
 @dataclass(frozen=True)
@@ -179,8 +179,8 @@ def _coarser(before: Reduction, share: float, cameras: Sequence[PlacedCamera], w
 def _share_between(finer: Reduction, coarser: Reduction, tolerance_m: float) -> float:
     """The share of `finer`'s triangles with which the error should just be the tolerance; 1 if `coarser` is no help.
 
-    By the straight line through both in logarithms of count and error, since on a smooth surface the error goes as a
-    power of the count; half way from a mesh without error.
+    On a smooth surface the error grows as a power of the count: so by the straight line through both in logarithms of
+    count and error, or half way if `finer` has no error.
     """
     if finer is coarser or coarser.error_m == math.inf:
         return 1.0
@@ -199,7 +199,7 @@ def edges_collapsed(mesh: Mesh, landmarks: Indices, count: int, optimal: bool = 
     """
     low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
     held, edges = np.zeros(len(mesh.vertices), np.bool_), find_edges(mesh.faces)
-    seams = edges.ends[edges.faces != 2].ravel()  # and rims of holes: their sides would part if they moved
+    seams = edges.ends[edges.faces != 2].ravel()  # also rims of holes: the sides of a seam would part if they moved
     held[np.concatenate([landmarks, _outermost(mesh), seams])] = True
     if isinstance(mesh, SceneMesh):
         held[_between_labels(mesh)] = True

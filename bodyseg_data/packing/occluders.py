@@ -24,8 +24,8 @@ from bodyseg_data.samples import FARTHEST_STEPS
 COARSEST_STEP: Final = 1024
 """Ranges are rounded to multiples of at most this many steps: larger ones save nothing more."""
 
-_EMPTY: Final = 65535  # as the test sees it: one step less than 0, behind every point
-_MARGIN: Final = 1  # the test computes in single precision, which is off by far less than a step
+_EMPTY: Final = 65535  # empty texels as the test sees them: 0 less one step, behind every point
+_MARGIN: Final = 1  # of bounds: the test computes in single precision, which is off by far less than a step
 
 Range = NDArray[np.uint16]
 Floats = NDArray[np.float32]
@@ -71,13 +71,13 @@ def exact_range(
 
 
 def _starts(shape: tuple[int, ...], x: Floats, y: Floats) -> Indices:
-    """The upper left ones of the four texels around points, [N], as flat indices into the framed image."""
+    """Flat index into the framed image of the upper left of the four texels around each point, [N]."""
     found = (np.floor(y).astype(np.int32) + 1) * np.int32(shape[1] + 2) + np.floor(x).astype(np.int32) + np.int32(1)
     return found.astype(np.intp)
 
 
 def _footprint(start: Indices, shape: tuple[int, int]) -> Mask:
-    """The texels that points read, bool [Hp, Wp]; start: upper left ones, as flat indices into the framed image."""
+    """The texels that points read, bool [Hp, Wp]; start: as `_starts`."""
     rows, columns = shape
     read = np.zeros((rows + 2, columns + 2), np.bool_)
     read.ravel()[start] = True
@@ -98,7 +98,7 @@ def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats
     held = framed(image) != _EMPTY
     held[:-1] |= held[1:]
     held[:, :-1] |= held[:, 1:]
-    read = np.flatnonzero(held.ravel().take(_starts(image.shape, x, y)))  # the others read nothing, now or then
+    read = np.flatnonzero(held.ravel().take(_starts(image.shape, x, y)))  # others read empty texels, which stay so
     points = x[read], y[read], away[read]
     texels = texel_indices(image.shape, *points[:2])
     answers = test.reached(image, *points)
@@ -127,7 +127,7 @@ def texel_bounds(
     Where the two bounds conflict, a lit point keeps its texels as they are, which bounds them from above, and other lit
     points may conflict with that in turn.
     """
-    ranges = (image.ravel().take(texels) - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
+    ranges = (image.ravel().take(texels) - np.uint16(1)).astype(np.int32)  # 0, empty, wraps round to `_EMPTY`
     away = np.minimum(points[2] - np.float32(1), FARTHEST_STEPS)
     enough = np.ceil(away).astype(np.int32) - int(test.gap_steps) + _MARGIN
     lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
@@ -142,7 +142,7 @@ def texel_bounds(
             test, ranges.take(at, axis=1), (points[0][at], points[1][at], away[at]), lit[at]
         )
         np.minimum.at(highest, moved, high.ravel())
-        # Only points that read a moved texel can conflict; their upper left one is it, or beside or above it.
+        # Only points that read a moved texel can conflict: it is their upper left one, or right of or below that.
         marks = np.maximum(np.concatenate([moved - shift for shift in (0, 1, width, width + 1)]), 0)
         near[marks] = True
         asked = np.flatnonzero(near.take(read[0]) & left)
@@ -153,7 +153,7 @@ def texel_bounds(
     easy = np.flatnonzero((highest.take(texels) < _EMPTY).any(axis=0))
     easy = easy[lit[easy] & ~(ranges.take(easy, axis=1) < enough[easy]).any(axis=0)]
     for texel in texels.take(easy, axis=1):
-        np.maximum.at(lowest, texel, enough[easy])  # not all four at once: numpy 2.4 mixes up what it repeats
+        np.maximum.at(lowest, texel, enough[easy])  # not all four at once: numpy 2.4 would mix up the values
     return lowest, highest
 
 
@@ -165,14 +165,14 @@ def _as_they_are(test: ShadowTest, ranges: Ints, points: tuple[Floats, Floats, F
     gap, edge = int(test.gap_steps), int(test.edge_steps)
     nearest, farthest = ranges.min(axis=0), ranges.max(axis=0)
     limit = np.ceil(points[2]).astype(np.int32) - edge
-    # An edge: each texel stays on its side of the limit, and two of them far enough from each other.
+    # An edge: each texel stays on its side of the limit, and nearest and farthest stay far enough from each other.
     behind = ranges >= limit
     low = np.where(behind, np.minimum(ranges, limit + _MARGIN), 0)
     high = np.where(behind, _EMPTY, np.maximum(ranges, limit - 1 - _MARGIN))
     between = np.clip(limit - 1 - _MARGIN, nearest, np.maximum(farthest - edge, nearest))
     high = np.where(ranges == nearest, np.minimum(high, between), high)
     low = np.where(ranges == farthest, np.maximum(low, between + edge), low)
-    # One surface: it stays one, and on its side of the point.
+    # One surface: the four stay one surface, which stays on its side of the point.
     x, y = points[0] - np.floor(points[0]), points[1] - np.floor(points[1])
     upper, lower = ranges[0] + x * (ranges[1] - ranges[0]), ranges[2] + x * (ranges[3] - ranges[2])
     spare = np.abs(upper + y * (lower - upper) - (points[2] - gap)) - _MARGIN
@@ -181,14 +181,14 @@ def _as_they_are(test: ShadowTest, ranges: Ints, points: tuple[Floats, Floats, F
     one = np.flatnonzero(farthest - nearest < edge)
     low[:, one] = (ranges - np.where(lit, tight, flat))[:, one]
     high[:, one] = np.minimum(ranges + np.where(lit, flat, tight), _EMPTY)[:, one]
-    # All so far in front that it is dark either way.
+    # All four so far in front of the point that it is dark by either rule.
     dark = np.flatnonzero(farthest < limit - _MARGIN)
     low[:, dark], high[:, dark] = 0, (limit - 1 - _MARGIN)[dark]
     return low, high
 
 
 def _simplest(image: Range, lowest: Ints, highest: Ints) -> Range:
-    """The roundest numbers within the bounds, of those the nearest to the ranges; empty where the bounds hold that."""
+    """The multiples of the largest step within the bounds, nearest to the ranges; 0 where the bounds include empty."""
     indices = np.flatnonzero(highest < _EMPTY)
     exact = image.ravel()[indices].astype(np.int32)
     low, high = lowest[indices] + 1, highest[indices] + 1  # stored ranges are one step more than the test's

@@ -111,7 +111,7 @@ def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef
 
 @lru_cache(maxsize=4)
 def _source(entry: SourceEntry | None, name: str, units: Units, up: UpAxis) -> BodySource:
-    """Open a source once a process, and again once another entry is registered: loading a body model takes seconds."""
+    """Open a source once a process, as a body model takes seconds to load, and anew if `entry`, its class, changes."""
     return open_source(name, None, None, units, up)
 
 

@@ -96,10 +96,10 @@ def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]
 
 
 def _unchanged(packing: Packing, bodies: Sequence[BodyRef], out: Path) -> dict[str, Any] | None:
-    """The description of a packing whose whole set `out` holds, of these files as they are; None for any other.
+    """The description of a packing if `out` holds its whole set, made of the files as they are now; else None.
 
-    The bytes of such files were found without fault when the set was packed, so they need no second check. A set
-    without some meshes is checked again.
+    The files were then found without fault when the set was packed, and need no second check. A set that lacks some
+    meshes is checked again.
     """
     if packing.path is None or not (out / MANIFEST_NAME).exists():
         return None
@@ -107,7 +107,7 @@ def _unchanged(packing: Packing, bodies: Sequence[BodyRef], out: Path) -> dict[s
         manifest = read_manifest(out)
         description = None if manifest.skipped else _describe(packing, bodies, ())
     except BodysegError:
-        return None  # the check and the claim of the folder say what is wrong
+        return None  # what follows says what is wrong
     return description if description is not None and manifest.plan == digest_of(description) else None
 
 

@@ -16,13 +16,13 @@ from bodyseg_data.rigs import Rig
 Masks = list[NDArray[np.bool_]]
 Image = NDArray[np.floating[Any]]
 
-_ONE_SURFACE: Final = 1.5  # slopes on both sides of a pixel that differ by more than this factor are not of one surface
+_ONE_SURFACE: Final = 1.5  # largest ratio of the slopes on both sides of a pixel that are of one surface
 _LEVEL: Final = 1e-6
-"""Slopes below this, 1 / m a pixel, are 0 as far as facing goes: the last bits of a surface square to the axis."""
+"""Slopes below this, 1 / m a pixel, count as 0: they are the last bits of a surface that is square to the axis."""
 
 _REACH: Final = 2  # pixels to each side that a slope depends on
 _ROWS: Final = 48  # rows that are computed at once, so that arrays stay in the cache
-_BENT: Final = 4.0  # the same for slopes of one side, at the pixel and beyond
+_BENT: Final = 4.0  # largest ratio of the slope beyond a neighbour to the slope up to it, on one side
 
 
 def projector_places(rig: Rig) -> list[NDArray[np.float64]]:
@@ -48,7 +48,7 @@ def facing_from_range(rig: Rig, range_m: Image) -> Masks:
 
 
 def _facing(rig: Rig, places: list[NDArray[np.float64]], range_m: Image, first: int) -> Masks:
-    """As `facing_from_range` for some rows of an image, from row `first` on, as if there were no others."""
+    """As `facing_from_range`, of rows from `first` on, which are taken for the whole image."""
     camera, measured = rig.camera, range_m > 0
     inverse = np.zeros(range_m.shape, np.float32)
     np.divide(np.float32(1), range_m, out=inverse, where=measured, casting="same_kind")
@@ -63,14 +63,14 @@ def _facing(rig: Rig, places: list[NDArray[np.float64]], range_m: Image, first: 
 
 
 def _slopes(inverse: NDArray[np.float32], measured: NDArray[np.bool_], axis: int) -> NDArray[np.float32]:
-    """The change of inverse range from pixel to pixel along an axis, float32 [H, W]; 0 where no neighbour is.
+    """The change of inverse range from pixel to pixel along an axis, float32 [H, W]; 0 without a measured neighbour.
 
-    The mean of both sides where they are of one surface; else that of the flatter side, carried on by half of its own
-    change from the pixel beyond, as surfaces bend away towards their outline.
+    The mean of both sides where they are of one surface; else that of the flatter side. As surfaces bend away towards
+    their outline, half of the difference to the slope beyond it is added.
     """
     ahead, behind = _along(axis, 1, None), _along(axis, None, -1)
     rows, columns = inverse.shape
-    # Steps to the next pixel, infinite where one of the two is not measured, and twice beyond both ends.
+    # Steps to the next pixel, infinite where one of the two is not measured, with two more infinite ones at either end.
     steps = np.full((rows + 3 * (axis == 0), columns + 3 * (axis == 1)), np.inf, np.float32)
     inner = steps[_along(axis, 2, -2)]
     np.subtract(inverse[ahead], inverse[behind], out=inner, where=measured[ahead] & measured[behind])
@@ -81,13 +81,13 @@ def _slopes(inverse: NDArray[np.float32], measured: NDArray[np.bool_], axis: int
     flat += np.float32(_LEVEL)
     slopes = steps[_along(axis, 1, -2)] + steps[_along(axis, 2, -1)]
     slopes *= np.float32(0.5)
-    # Elsewhere, of few pixels, the flatter side and the step beyond it.
+    # Elsewhere, at few pixels, the flatter side and the step beyond it.
     edges = np.flatnonzero(~(steep < flat) & measured)
     at, stride = (edges, columns) if axis == 0 else (edges + 3 * (edges // columns), 1)
     outer, before, after, other = (steps.ravel()[at + place * stride] for place in range(4))
     first = np.abs(before) <= np.abs(after)
     near, beyond = np.where(first, before, after), np.where(first, outer, other)
-    with np.errstate(invalid="ignore"):  # infinite less infinite, which is not chosen
+    with np.errstate(invalid="ignore"):  # inf - inf, which is not used
         near = np.where(np.abs(beyond) <= _BENT * np.abs(near), 1.5 * near - 0.5 * beyond, near)
     slopes.ravel()[edges] = np.where(np.isfinite(near), near, 0)
     slopes[~measured] = 0

@@ -136,7 +136,7 @@ def contradicting(rig: Rig, range_m: Ranges, projector_m: Ranges) -> float:
 def _seen_past(
     one: tuple[Camera, Ranges], other: tuple[Camera, Ranges], rotation: NDArray[np.float64], offset: NDArray[np.float64]
 ) -> float | None:
-    """The same of one way, None if no point lies in the other's image; rotation, offset: from the one's frame to it."""
+    """As `contradicting`, of points of `one`; None if `other` has none in view. rotation, offset: from one to other."""
     (device, range_m), (target, target_m) = one, other
     rows, columns = np.nonzero(range_m)
     stride = max(1, len(rows) // _POINTS)
@@ -147,7 +147,7 @@ def _seen_past(
     inside = (across >= 0) & (across < target.columns) & (down >= 0) & (down < target.rows)
     if np.count_nonzero(inside) < _FEWEST:
         return None if len(rows) >= _FEWEST and not inside.any() else 0.0
-    # The nearest surface of a pixel and those around it: at an edge either side will do, and beyond the image any.
+    # The nearest surface in 3 x 3 pixels: at an edge either side will do; beyond the image lies nothing.
     padded = np.pad(np.where(target_m == 0, np.inf, target_m), 1)
     nearest = np.min([padded[y : y + target.rows, x : x + target.columns] for y in range(3) for x in range(3)], axis=0)
     seen = nearest[down[inside].astype(np.intp), across[inside].astype(np.intp)]

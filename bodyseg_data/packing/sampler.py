@@ -20,7 +20,7 @@ from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import HELD, Sample, SampleInfo, Value, View, steps
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
-_SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
+_SURE_M: Final = 1e-4  # from a triangle's plane: a light farther away is on one side of it despite rounding
 
 Floats = NDArray[np.float64]
 PointsAt = Callable[[NDArray[np.intp]], Floats]
@@ -161,7 +161,7 @@ class Sampler:
     def _facing(self, faces: NDArray[np.int32], points: PointsAt, source: Floats, eye: Floats) -> NDArray[np.bool_]:
         """As `faces_towards`, computed once a triangle wherever rounding of its points cannot change the answer.
 
-        Of a scene, whose triangles have no outside, what the camera at `eye` [3] and the light see of the same side.
+        Triangles of a scene have no outside: there, True where the camera at `eye` [3] and the light see the same side.
         """
         towards = self._normals @ source - self._offsets
         if isinstance(self._mesh, SceneMesh):

@@ -154,7 +154,7 @@ class SceneLayout:
     def _asked(
         self, projector: ProjectorRanges, rig: Rig, range_m: Images, facing: NDArray[np.bool_], key: str
     ) -> Images:
-        """The projector's range by a function, asked for the texels that the shadow test reads, or for all of them."""
+        """The projector's range by the user's function, for the texels that the shadow test reads, or for all."""
         shape = rig.projector_shape
         image = np.zeros(shape)
 

@@ -211,7 +211,7 @@ class ShardWriter:
             if not self._is_new(key):
                 continue
             if self._layout is None or self._complete:
-                self.write(key=key, **function(reference))  # here: it shows what all the others must have
+                self.write(key=key, **function(reference))  # in this thread: the first tells what all must have
             else:
                 self._seen.add(key)
                 self._enqueue(key, _made, self._layout, key, function, reference)
@@ -230,7 +230,7 @@ class ShardWriter:
         return True
 
     def _enqueue(self, key: str, work: Callable[..., Encoded], *given: Any) -> None:
-        """Begin to encode a scene, and append those that were begun before as far as they must be ready."""
+        """Begin to encode a scene; while more than two a worker are under way, append the first of them."""
         result = partial(work, *given) if self._pool is None else self._pool.submit(work, *given).result
         self._waiting.append((key, result))
         while len(self._waiting) > 2 * self._workers:
@@ -274,7 +274,7 @@ class ShardWriter:
                 writer.__exit__(KeyboardInterrupt, None, None)  # as after any error: its file goes
             self._open.clear()
             self._waiting.clear()
-            if (self._out / MANIFEST_NAME).exists():  # also one that was whole before and got no further scene
+            if (self._out / MANIFEST_NAME).exists():  # the set is whole, perhaps since before
                 shutil.rmtree(self._opened(), ignore_errors=True)
             self._state = None
             self._context.close()
@@ -309,7 +309,7 @@ class ShardWriter:
             write_manifest(manifest, self._out)
 
     def _described(self) -> dict[str, Any]:
-        """Everything that shapes the bytes of a sample as far as it is known before the first, as plain JSON."""
+        """Everything that shapes the bytes of a sample, as far as known before the first scene, as plain JSON."""
         return {
             "format": MANIFEST_FORMAT,
             "version": PACKING_VERSION,
@@ -324,7 +324,7 @@ class ShardWriter:
         }
 
     def _learned(self, scene: Render) -> SceneLayout:
-        """The layout of all samples, where it is not given as the first scene has it."""
+        """The layout of all samples: what the user did not give is taken from the first scene."""
         fields = self._fields or learned_fields(scene.fields, len(self._rigs), scene.key)
         planes = learned_planes(scene.planes, scene.key) if self._planes is None else self._planes
         unseen = scene.projector is None and scene.projector_range_m is None

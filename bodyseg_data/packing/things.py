@@ -244,7 +244,7 @@ def _hidden_share(things: Things, camera: PlacedCamera, seen: Surface) -> float:
 
 
 class _Room:
-    """A frame with the camera's direction on the floor as z and the body's lowest point on y = 0; the body's extent."""
+    """The body's extent in a frame whose z is the camera's direction along the floor; y is 0 at its lowest point."""
 
     def __init__(self, mesh: Mesh, view: View, camera: PlacedCamera) -> None:
         right, down, forward = axes_at(view.azimuth_deg)

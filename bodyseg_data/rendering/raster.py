@@ -20,7 +20,7 @@ from bodyseg_data.rigs import PlacedCamera
 
 _NEAR_M: Final = 1e-3  # a triangle nearer to the camera's plane is tested at every pixel
 _MARGIN_PX: Final = 1e-6  # added to the bounding box of a triangle, for rounding
-_NARROW_PX: Final = 12  # up to which all pixels of a row are tested
+_NARROW_PX: Final = 12  # of triangles up to this wide, each pixel of a row is tested
 
 
 class RasterRenderer(Renderer):

@@ -29,7 +29,7 @@ _LEAST_M: Final = 0.01
 _NEAR_M: Final = 0.3  # a farthest surface nearer than this speaks against a unit that is guessed
 _TILE_SIDES: Final = (322, 323)  # tags of TIFF 6.0
 _DEPTH: Final = {"Z": "X", "V": "U", "Y": "X", "R": "G"}
-"""Names that programs give to the one channel of a depth image: without that beside it, which one of vectors has."""
+"""Names of the channel of a depth image, each with another that must not be beside it: that would make it a vector."""
 
 _UNITS: Final = (("millimetres", 1e-3), ("centimetres", 1e-2))
 
@@ -149,7 +149,7 @@ def as_metres(
     for number in _SENTINELS if floats else _SENTINELS[1:]:
         nothing |= image == number
     for number in no_range or ():
-        nothing |= np.isclose(image, number, rtol=1e-5, atol=0)  # as many digits as messages show
+        nothing |= np.isclose(image, number, rtol=1e-5, atol=0)  # to as many digits as messages show
     numbers: NDArray[np.floating[Any]] = image.astype(np.float32 if floats else np.float64)
     numbers[nothing] = 0
     if numbers.min() < 0:
@@ -163,7 +163,7 @@ def as_metres(
     if lengths is not None:
         numbers /= lengths
     _check_unit(float(numbers.max()), step_m, where)
-    numbers[numbers < step_m / 2] = 0  # not even a step away
+    numbers[numbers < step_m / 2] = 0  # nearer than half a step
     return numbers
 
 

@@ -102,7 +102,7 @@ class IsaacRenders(RenderSource):
         return {_POSE: tuple(map(float, pose.ravel()))}
 
     def _rig(self, camera: Path, projector: Path) -> Rig:
-        """The rig of one frame, in its camera's frame; rounded, so that frames of one rig have one."""
+        """The rig of one frame, in its camera's frame; rounded, so that all frames of a rig give the same."""
         (eye, to_camera), (light, to_light), away = _camera(camera), _camera(projector), self._away
         between = (to_light @ np.linalg.inv(to_camera))[:3]  # the camera's frame -> the projector's
         position = -between[:, :3].T @ between[:, 3]
@@ -157,7 +157,7 @@ def _camera(path: Path) -> tuple[tuple[int, int, float], NDArray[np.float64]]:
     focal_px = table.positive("cameraFocalLength") / width * columns if width > 0 else 0.0
     if "cameraApertureOffset" in table and any(table.numbers("cameraApertureOffset", 2)):
         raise BadConfig(f"{path}: an aperture with an offset is not read: name the rig in set.toml")
-    view = np.array(table.numbers("cameraViewTransform", 16)).reshape(4, 4).T  # USD's points are rows
+    view = np.array(table.numbers("cameraViewTransform", 16)).reshape(4, 4).T  # USD multiplies points as rows
     axes = view[:3, :3]
     if not (np.allclose(axes @ axes.T, np.eye(3), atol=1e-3) and math.isclose(np.linalg.det(axes), 1, abs_tol=1e-2)):
         raise BadConfig(f"{path}: 'cameraViewTransform' must turn and move only, found one that mirrors or scales")

@@ -37,7 +37,7 @@ Along = Literal["axis", "ray"]
 _FILES: Final = TomlFiles("set", Path(), SET_FORMAT)
 _COLOUR: Final = re.compile(r"#[0-9a-fA-F]{6}")
 _SMALL: Final = 1 << 16
-_BORDER: Final = 0.05  # share of pixels in unknown colours below which they are taken for blended borders
+_BORDER: Final = 0.05  # share of pixels of unknown colours up to which they are taken for blended borders
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class LabelTable:
 
 
 def _whole(image: NDArray[Any], where: str) -> NDArray[np.int64]:
-    with np.errstate(invalid="ignore"):  # NaN is no whole number, which the next lines say
+    with np.errstate(invalid="ignore"):  # of NaN, which the next lines refuse
         whole = image.astype(np.int64)
     if image.dtype.kind == "f" and not np.array_equal(whole, image):
         raise BadSample(f"{where}: a label must be a whole number, found {image[whole != image][0]:.6g}")
@@ -258,7 +258,7 @@ def _json_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Rows of CSV: a column is of whole numbers, numbers, flags or text, an empty cell says nothing."""
+    """Rows of CSV, with their lines: a column holds whole numbers, numbers, flags or text; empty cells are left out."""
     rows = csv.DictReader(io.StringIO(text.lstrip("\r\n")), strict=True)
     with reported(f"{path} is not CSV", BadConfig, csv.Error):
         cells, header = list(rows), rows.fieldnames or []
@@ -273,7 +273,7 @@ def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _typed(column: Sequence[str]) -> Sequence[Value | None]:
-    numbers = () if any("_" in word for word in column) else (int, float)  # they take 1_1 for 11
+    numbers = () if any("_" in word for word in column) else (int, float)  # which read 1_1 as 11
     for read in (*numbers, lambda word: {"true": True, "false": False}[word.lower()], str):
         with contextlib.suppress(ValueError, KeyError):
             return [read(word) if word else None for word in column]

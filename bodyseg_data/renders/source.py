@@ -25,8 +25,8 @@ _NUMBERS: Final = re.compile(r"(\d+)")
 _NAMED: Final = 3
 _FEW: Final = 0.02
 """Share of labelled pixels that may have no range: borders that two renderers draw half a pixel apart."""
-_MUCH: Final = 0.05  # share of an image that is more than chance, of pixels with one and the same largest range
-_SLACK: Final = 1e-4  # share of the largest distance along the ray that conversions to the axis and back leave
+_MUCH: Final = 0.05  # share of pixels with one largest range that is no chance, but a background
+_SLACK: Final = 1e-4  # of distances along the ray: share that conversion to the axis and back may change
 
 
 ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]

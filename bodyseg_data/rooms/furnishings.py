@@ -30,7 +30,7 @@ def tube(points: list[Point], radius: float) -> Solid:
     """Cylinders of eight sides around a line through points."""
     start, end = np.array(points[:-1], np.float64), np.array(points[1:], np.float64)
     x, y, z = ((end - start) / np.maximum(np.sqrt(((end - start) ** 2).sum(axis=1)), 1e-9)[:, None]).T
-    # At right angles to the line, as is its product with it.
+    # At right angles to the line; `other`, its cross product with the line, is so, too.
     side = np.where(np.abs(y) > 0.9, (0 * x, z, -y), (-z, 0 * x, x))
     side = side / np.sqrt((side**2).sum(axis=0))
     other = np.stack([y * side[2] - z * side[1], z * side[0] - x * side[2], x * side[1] - y * side[0]])

@@ -32,8 +32,8 @@ _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
 _NAMES: Final = "words", "vertices", "faces", "labels", "distance", "shared faces", "distance there"
 _OWN_M: Final = 0.05, 4.0  # least and greatest size of a user's thing
-_OWN_FACES: Final = 300_000  # of which is drawn in every room
-_AT_ONCE: Final = 8  # blocks that are written in turns, so that as many processes build people
+_OWN_FACES: Final = 300_000  # most triangles of a user's thing
+_AT_ONCE: Final = 8  # blocks whose rooms are written in turns, so that as many processes build people
 
 
 def chosen_kinds(only: tuple[str, ...], without: tuple[str, ...]) -> tuple[str, ...]:
@@ -114,7 +114,7 @@ def pack_rooms(
     source = f"rooms without {lacking}" if lacking else "rooms"
     digest = "" if own is None else own.digest()
     if own is not None:
-        _things_of(own, digest)  # before anything is written; this process needs them for the first room
+        _things_of(own, digest)  # read before anything is written
         source += f", with things of digest {digest}"
     with (
         processes(workers if workers is None else check_int("workers", workers, 1)) as engine,

@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 _PARTS: Final = len(PART_CLASSES.names)
 _EMPTY: Final = 0.09  # share of rooms with walls that have nobody in them
 _BARE: Final = 0.12  # share of rooms without walls and floor
-_COUNTS: Final = (1,) * 11 + (2,) * 6 + (3,) * 4  # of people in the others, each as often
+_COUNTS: Final = (1,) * 11 + (2,) * 6 + (3,) * 4  # number of people in the others: one of these is drawn
 _NEAREST_M: Final = 0.7
 _FARTHEST_M: Final = 6.0
 _REACH_M: Final = 14.0  # of floors and walls
@@ -58,7 +58,7 @@ _DARK: Final = (  # parts of somebody: names, how often they are dark, and from 
 _CELLS: Final = 16  # of the field's lattice, along each axis
 _LATTICE: Final[Floats] = Draws(0, 0, "losses").pixels("lattice", _CELLS**3, np.uint16) / 65535.0 - 0.5
 _WAVES: Final = (1.0, 0.37, 0.12)  # as shares of the longest
-_WEIGHTS: Final = (5.2, 3.1, 2.1)  # with which the sum has a standard deviation of about 1
+_WEIGHTS: Final = (5.2, 3.1, 2.1)  # of the waves: their sum has a standard deviation of about 1
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class RoomPerson:
 
 
 def _facing(way: Floats) -> Floats:
-    """The rotation about y of a thing whose front, -z, then looks that way."""
+    """The rotation about y that turns the front of a thing, -z, to `way`."""
     return about(math.atan2(-way[0], -way[2]))
 
 
@@ -88,7 +88,7 @@ class _Wall:
     offset: float
 
     def free(self, slope: float) -> float:
-        """Depth at which the ray of that slope across meets the wall, inf if it does not."""
+        """Depth at which a ray with this slope sideways meets the wall, inf if it does not."""
         towards = self.normal[0] * slope - self.normal[2]
         return self.offset / towards if towards > 1e-6 else math.inf
 
@@ -224,7 +224,7 @@ class Room:
         return None
 
     def _beside(self, n: Numbers, radius: float, most_rad: float) -> tuple[float, float]:
-        """A place that touches somebody, or nearly, at most that much off the direction away from the camera."""
+        """A place that touches a person, or nearly, at most `most_rad` off the direction away from the camera."""
         x, away, taken = self._taken[n.whole(0, len(self.persons) - 1)]
         turn, apart = n.between(-most_rad, most_rad), (radius + taken) * n.between(0.5, 0.9)
         return x + apart * math.sin(turn), max(away + apart * math.cos(turn), _NEAREST_M)
@@ -232,7 +232,7 @@ class Room:
     def _stand(
         self, solid: Solid, turn: Floats, spot: tuple[float, float], low: float, gap: float, against: _Wall | None
     ) -> tuple[RigidMotion, Floats, Floats]:
-        """Pose of a solid at a spot, a gap off all walls at least, off one at most; its least and greatest corner."""
+        """Pose of a solid at a spot, `gap` from the wall `against`, at least that from others; its extreme corners."""
         turned = solid.vertices @ turn.T
         least, most = turned.min(axis=0), turned.max(axis=0)
         by = np.array([spot[0], low, -spot[1]]) - ((least[0] + most[0]) / 2, least[1], (least[2] + most[2]) / 2)
@@ -243,7 +243,7 @@ class Room:
         return RigidMotion(turn, by), least + by, most + by
 
     def _place_person(self, person: RoomPerson, n: Numbers) -> bool:
-        """Somebody stands free, at a wall, beside another, on a seat or a bed, or behind something; False: no place."""
+        """Place a person free, at a wall, beside another, on a seat or a bed, or behind something; False: no room."""
         surface = Solid(person.mesh.vertices, person.mesh.faces)
         how, far = n.between(0, 1), n.between(0, 1)
         sits, lies = person.pose.startswith(_SIT), person.pose.startswith(_LIE)
@@ -279,7 +279,7 @@ class Room:
         return True
 
     def _clothes(self, n: Numbers) -> list[Loss]:
-        """Losses of somebody's parts."""
+        """Losses of a person's parts."""
         found = [_KEPT] * _PARTS
         for names, often, low, high in _DARK:
             dark, loss = n.between(0, 1) < often, (n.between(low, high), 1.0, n.between(0.08, 0.4))
@@ -288,7 +288,7 @@ class Room:
         return found
 
     def _hold(self, person: RoomPerson, vertices: Floats, n: Numbers) -> None:
-        """Somebody holds or wears a thing: a box, a bag, a cloth, a rucksack, a load on a shoulder."""
+        """Add a thing that a person holds or wears: a box, a bag, a cloth, a rucksack, a load on a shoulder."""
         right, left = (person.middle(vertices, name) for name in ("Rt. Dactylion", "Lt. Dactylion"))
         chest, back = (person.middle(vertices, name) for name in ("Substernale", "10th Rib Midspine"))
         front, apart, kind = (chest - back) / np.linalg.norm(chest - back), right - left, n.whole(0, 5)
@@ -319,7 +319,7 @@ class Room:
             self._add(RigidMotion(turn, at).of(thing), n, HELD)
 
     def _support(self, person: RoomPerson, vertices: Floats, low: float, n: Numbers) -> None:
-        """A seat under somebody, or if he lies at that height, a bed along him, and at times a cover over him."""
+        """Add a seat under a person, or for one who lies at height `low`, a bed along him and at times a cover."""
         hips, knees, head = (person.middle(vertices, *names) for names in (_HIPS, _KNEES, ("Nuchale",)))
         if low and np.isfinite(head).all():
             made, (way, _, along) = FURNISHINGS["bed"](n), hips - head
@@ -340,7 +340,7 @@ class Room:
         return name, FURNISHINGS[name](n)
 
     def _place_before(self, n: Numbers, named: tuple[str, Solid]) -> None:
-        """A thing reaches into the image from its border, right before the camera, in any pose: a robot's own arm."""
+        """Add a thing that reaches in from the image's border, near the camera, in any pose, as a robot's own arm."""
         (name, thing), edge, beside = named, (-1.0, 1.0)[n.whole(0, 1)], n.between(-1, 1)
         turn = about(n.between(-math.pi, math.pi)) @ about(n.between(-math.pi, math.pi), 0)
         middle = (thing.vertices.min(axis=0) + thing.vertices.max(axis=0)) / 2
@@ -354,7 +354,7 @@ class Room:
             self._add(RigidMotion(turn, at - turn @ middle).of(thing), n, name)
 
     def _place_thing(self, n: Numbers, named: tuple[str, Solid] | None = None) -> None:
-        """A thing stands against a wall, free, or touches somebody; few lie on their side. named: it; else drawn."""
+        """Add a thing against a wall, free, or touching a person; few lie on their side. named: which; else drawn."""
         (name, thing), how = named or self._thing(n), n.between(0, 1)
         radius = 0.45 * math.hypot(*np.ptp(thing.vertices, axis=0)[::2])
         spot = self._spot(n, radius, n.between(1.0, _FARTHEST_M))
@@ -393,7 +393,7 @@ class Room:
             found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), points)
             body, first = found < UNLABELLED, first + len(person.mesh.faces)
             labels[own], people[own] = np.where(body, found, UNLABELLED), np.where(body, number + 1, 0)
-        # Of each face the row of its losses: those of people's parts come first, one person after another.
+        # For each face its row in `losses`: the rows of people's parts come first, one person after another.
         rows = np.arange(len(pieces)) + (_PARTS - 1) * len(bodies)
         losses = np.array([*(loss for *_, worn in self.persons for loss in worn), *(loss for _, loss in self.solids)])
         surface = face, np.repeat(rows, [len(piece.faces) for piece in pieces]), whole.normals

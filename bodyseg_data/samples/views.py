@@ -165,9 +165,9 @@ class ViewGrid:
 
 
 def _combined(rows: list[tuple[int, ...]], values: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """All combinations of rows and values, in an order of which every beginning has each of both about equally often.
+    """All combinations of rows and values, in an order whose every beginning has each of them about equally often.
 
-    Both go on by one each time; after a common multiple of their numbers they would repeat: there the values skip one.
+    Rows and values advance together; where they would repeat, after a common multiple of their counts, values skip one.
     """
     period = math.lcm(len(rows), len(values))
     count = len(rows) * len(values)

@@ -30,7 +30,7 @@ CONNECTIONS: Final = 8
 
 _HELD_BYTES: Final = 1 << 26  # bytes of ranges that are planned, or held in memory, at most
 
-# A joined range that is as long takes no further piece; widest gap in one; samples that are planned at once.
+# Length from which on a joined range takes no further piece; widest gap in one; samples that are planned at once.
 _RANGE_BYTES: Final = 1 << 20
 _GAP_BYTES: Final = 1 << 15
 _SCANNED: Final = 4096
@@ -47,7 +47,7 @@ class _Closed(Exception):
 
 @dataclass
 class _Range:
-    """A range of a file that one request reads. first: the least number of its samples in the order of need."""
+    """A range of a file that one request reads. first: when its first sample is needed, as a number in the order."""
 
     remote: RemoteFolder
     name: str
@@ -106,10 +106,10 @@ class LookAhead:
         TALLY.start(row)
         try:
             while (job := self._next()) is not None:
-                with contextlib.suppress(Unreachable):  # whoever is due meets it again, if it lasts
+                with contextlib.suppress(Unreachable):  # whoever needs the sample meets it again, if it lasts
                     job()
         except BaseException as error:
-            self._end()  # or those who wait for a range would wait for ever
+            self._end()  # else those who wait for a range would wait for ever
             if not isinstance(error, _Closed | BodysegError):
                 raise
 

@@ -127,7 +127,7 @@ class ShardCache:
         """Evict the least recently used shards; evict none and return False if that would not free `size` bytes."""
         most, victims = os.pread(guard, 20, 0), list[Path]()
         excess = int(most) + size - self.limit if most.isdigit() else 1
-        if excess > 0:  # what is held may be less: the files tell
+        if excess > 0:  # the noted size may be too large: the files tell
             entries = sorted(self._entries())
             excess = sum(held for _, _, held in entries) + size - self.limit
             for used, path, held in entries:
@@ -141,8 +141,8 @@ class ShardCache:
         return True
 
     def _entries(self) -> list[tuple[float, Path, int]]:
-        """Time of the last read, path and size of every shard and part; a clock that was set back since may have marked
-        a read to come: its time is 0.
+        """Time of the last read, path and size of every shard and part. A time in the future, of a clock that was set
+        back since, becomes 0.
         """
         entries = []
         with os.scandir(self.folder) as found:
@@ -239,9 +239,9 @@ class CachedStore:
     def prepare_reread(self, name: str) -> bool:
         """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again.
 
-        Of one that is right, what was read may have come of its part, before the download began anew.
+        If its hash is right, the bytes that were read may be of its part, before the download began anew.
         """
-        self._spoiled.add(name)  # not read again before it is whole
+        self._spoiled.add(name)  # its part is not read again
         path = self._cache.path(self._records[name])
         with contextlib.suppress(OSError), path.open("rb") as file:
             spoiled = hashlib.file_digest(file, "sha256").hexdigest() != self._records[name].sha256
@@ -291,7 +291,7 @@ class CachedStore:
         os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
         for _ in range(READ_ATTEMPTS):
             fetched = os.lseek(handle, 0, os.SEEK_END)
-            with os.fdopen(handle, "wb", 8192, closefd=False) as file:  # all that a kill may lose
+            with os.fdopen(handle, "wb", 8192, closefd=False) as file:  # a kill loses 8 kB at most
                 self.remote.fetch(record.name, fetched, record.size, file.write, pause)
             with os.fdopen(handle, "rb", closefd=False) as file:
                 file.seek(0)

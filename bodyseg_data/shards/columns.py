@@ -115,7 +115,7 @@ def with_columns(manifest: Manifest, columns: Mapping[str, Manifest]) -> Manifes
 
 
 def _with_fields(fields: Fields, own: ShardRecord, *added: ShardRecord) -> ShardRecord:
-    """Record of a shard with the fields of columns in its descriptions. fields: of both."""
+    """Record of a shard with the fields of columns in its descriptions. fields: those of set and columns."""
     described = [record.descriptions for record in (own, *added)]
     tables = tuple(table for each in described for table in each.tables)
     rows = tuple(numbers for each in described for numbers in each.rows)
@@ -150,7 +150,7 @@ class ColumnWriter:
     def __enter__(self) -> ColumnWriter:
         with contextlib.ExitStack() as claim:
             claim.enter_context(claimed(self._folder, "ColumnWriter"))
-            self._begin()  # again: another one may have written it since, or this one
+            self._begin()  # again: this or another writer may have written it since
             self._claim = claim.pop_all()
         return self
 

@@ -55,7 +55,7 @@ def manifest_as_current(tree: dict[str, Any], where: str) -> dict[str, Any]:
 def _record_as_current(record: Any) -> Any:
     columns = ("bodies", "views", "body", "view")
     if not isinstance(record, dict) or not set(columns) <= set(record):
-        return record  # refused by the reader of records
+        return record  # the reader of records refuses it
     kept = {name: value for name, value in record.items() if name not in columns}
     return {**kept, "tables": [record["bodies"], record["views"]], "rows": [record["body"], record["view"]]}
 
@@ -70,7 +70,7 @@ def piece_as_current(data: bytes, where: str) -> bytes:
         columns = np.frombuffer(data, "<i2", 5 * views, end).reshape(views, 5)
         text = json.loads(data[end + 10 * views :])
         stems, tails = text["stems"], text["tails"]
-        if len(tails) != views:  # a key a sample
+        if len(tails) != views:  # one key for each sample
             first = end - sum(widths) * count
             body = np.frombuffer(data, f"<u{widths[0]}", count, first)
             stems, tails = [], [stems[row] + tail for row, tail in zip(body.tolist(), tails, strict=True)]

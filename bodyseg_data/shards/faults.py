@@ -72,7 +72,7 @@ def _short_digest(key: str) -> int:
 
 
 def _repeated_keys(manifest: Manifest, digests: NDArray[np.uint64]) -> Iterator[Fault]:
-    """Find samples whose key a sample before has. digests: of all keys, 8 bytes each, so that they fit into memory."""
+    """Find samples whose key an earlier sample has. digests: of all keys, 8 bytes each, so they fit into memory."""
     order = np.sort(digests)
     suspects = set(order[1:][order[1:] == order[:-1]].tolist())
     seen: set[str] = set()
@@ -125,7 +125,7 @@ def find_faults(
                 _, offset, length, checksum = shard.entry(index)
                 data = file.read(length)
                 if len(data) == length and zlib.crc32(data) != checksum and store.prepare_reread(shard.name):
-                    data = store.read(shard.name, offset, length)  # altered on its way, or in the file
+                    data = store.read(shard.name, offset, length)  # it was altered on its way, or is so in the file
                 end += len(data)
                 sha256.update(data)
                 try:

@@ -49,7 +49,7 @@ _HEADER: Final = struct.Struct("<3I")
 
 _TEXT_FIELDS: Final = {"tables", "stems", "tails", "notes"}
 _VIEW_MARK: Final = "-d"
-"""Begins the part of a key that names the view, of samples of bodies; bodies are table 0 there, views table 1."""
+"""In keys of samples of bodies, begins the part that names the view. Their table 0 is of bodies, table 1 of views."""
 
 _KINDS: Final = tuple(map(np.dtype, ("u1", "<u2", "<u4")))
 
@@ -318,7 +318,7 @@ class Piece:
         return Entry(key, BLOCK * first, length, int(self._crc32[index]))
 
     def _key(self, index: int) -> str:
-        """Key of a sample, unchecked. Raises BadShard for rows that its tables have not."""
+        """Key of a sample, unchecked. Raises BadShard for a row that is not in its table."""
         if self._whole_keys:
             return self._tails[index]
         body, view = int(self._rows[0][index]), int(self._rows[1][index])

@@ -166,7 +166,7 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
         manifest = replace(manifest, shards=tuple(manifest.shards))
     write_atomically(folder / MANIFEST_NAME, manifest_bytes(manifest))
     if manifest.index is None:
-        (folder / INDEX_NAME).unlink(missing_ok=True)  # of a set that was there before
+        (folder / INDEX_NAME).unlink(missing_ok=True)  # an earlier set's
     return manifest
 
 
@@ -214,7 +214,7 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
         known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
         raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
-    with reported(f"{path} cannot be read", BadShard, RecursionError):  # brackets nested as deeply as can just be read
+    with reported(f"{path} cannot be read", BadShard, RecursionError):  # brackets nested too deeply to write
         computed = _digest(tree)
     if stored != computed:
         raise BadShard(f"{path}: altered after it was written: stored digest {stored}, computed {computed}")

@@ -25,7 +25,7 @@ from bodyseg_data.shards.transport import FileMissing, PermanentFailure, Transie
 class Unreachable(BodysegError):
     """Files of a remote set cannot be fetched: absent, refused, or too many attempts in a row have failed."""
 
-    missing = refused = False  # refused: may not be read, or is missing: buckets that may not be listed say 403 to both
+    missing = refused = False  # refused: forbidden or missing: for both, buckets that may not be listed answer 403
 
 
 _SHORTEST_SECRET: Final = 4
@@ -203,7 +203,7 @@ def read_optional(store: Store, name: str, limit: int) -> bytes | None:
 
 
 def _unless(flag: str, read: Callable[[], Result]) -> Result | None:
-    """What `read` returns; None if it raises an Unreachable with that flag."""
+    """Call `read` and return its result; None if it raises an Unreachable that has `flag`."""
     try:
         return read()
     except Unreachable as error:

@@ -90,7 +90,7 @@ class Pieces:
         if piece is None:
             return None
         TALLY.came(piece.done())
-        with contextlib.suppress(CancelledError):  # of a piece that is given up, `wait` would not return
+        with contextlib.suppress(CancelledError):  # of a piece that was given up; `wait` would not return
             piece.result()
         with self._changing:  # not before, or `clear` would not find it
             if self._pieces.pop((name, offset), None) is not None:
@@ -173,11 +173,11 @@ class HeldFile:
 
     def __init__(self, store: Store, size: int) -> None:
         self.name, self.size, self.read_file = store.name, store.size, store.read_file
-        self._store, self._length, self._data, self._fetching = store, size, b"", 0  # the last: number of a process
+        self._store, self._length, self._data, self._fetching = store, size, b"", 0  # the last: a process's id
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         if not (data := self._data):
-            if self._fetching == os.getpid():  # another thread does: as many would take as many times the memory
+            if self._fetching == os.getpid():  # another thread does; two would take twice the memory
                 return self._store.read(name, offset, length)
             self._fetching = os.getpid()
             try:

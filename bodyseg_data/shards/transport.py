@@ -69,10 +69,10 @@ class Filesystem:
         protocol = self._address.partition("://")[0]
         try:
             kind = import_module("fsspec").get_filesystem_class(protocol)
-            # Host, port and user, for the protocols whose filesystem is one server's.
+            # Host, port and user, for protocols whose filesystem is bound to one server.
             options = {} if protocol in ("http", "https") else kind._get_kwargs_from_urls(self._address)
             options |= self._options
-            # Before an object is made: one whose construction fails fails again when it is deleted, on standard error.
+            # Checked first: an object whose construction fails would print an error when it is deleted, too.
             inspect.signature(kind.__init__).bind(None, **options)
             filesystem = kind(skip_instance_cache=True, **options)
         except ImportError as error:
@@ -87,7 +87,7 @@ def _forget(token: str) -> None:
     for key in [key for key in _FILESYSTEMS if key[:2] == (os.getpid(), token)]:
         opened = _FILESYSTEMS.pop(key)
         if getattr(opened, "async_impl", False):
-            # It refers to itself, so it would be freed, and closed, by a collection: in a fork that waits for its loop.
+            # It refers to itself, so the garbage collector would free and close it, in a fork waiting for its loop.
             vars(opened).clear()
 
 

@@ -113,9 +113,9 @@ def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
 
 def superseded(store: Store, bundle: Bundle) -> list[str]:
     """Return names of files to remove, in order, of the set or network in `store` whose place a bundle takes."""
-    # First the list of columns: what an interruption leaves of them is then of no set.
+    # First the list of columns: if a transfer is interrupted, the columns that are left belong to no set.
     held = [*pages_of(store, bundle.optional), bundle.index]
-    if bundle.index == MANIFEST_NAME:  # a set that a network lies beside stays
+    if bundle.index == MANIFEST_NAME:  # a set stays where a network is put beside it
         with contextlib.suppress(BadConfig, BadShard):  # of another format: what it holds is not known
             manifest = read_manifest(store)
             held += [file.name for file in _large_files(manifest)]
@@ -173,7 +173,7 @@ class LocalTarget:
         """
         part = self._part(file)
         if part.is_symlink():
-            part.unlink()  # none of a transfer: it would write into another file
+            part.unlink()  # not made by a transfer: writing would alter another file
         handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         with naming(part), os.fdopen(handle, "r+b") as held:
             try:
@@ -198,7 +198,7 @@ class LocalTarget:
                     break
                 report(-held.seek(0, os.SEEK_END))
                 held.truncate(0)
-                # The part that was there may be of another file: that says nothing about the source.
+                # The part that was there may be of another file, so the source may still be right.
                 again, resumed = resumed > 0 or self._source.prepare_reread(file.name), 0
                 if attempt == READ_ATTEMPTS or not again:
                     part.unlink()
@@ -315,7 +315,7 @@ def transfer(
     else:
         outdated = [file.name for file in missing if target.holds_another(file)]
         refuse(outdated if held is None else [])
-        # The index last: without one, files that are wrong would be taken for the user's own.
+        # The index goes last: without one, wrong files would be taken for the user's own.
         outdated += [bundle.index] if held is not None and missing else []
     for name in outdated:
         target.remove(name)

@@ -46,7 +46,7 @@ _MAGIC: Final = b"BSI3"
 _EARLIER_MAGIC: Final = b"BSI2"
 _PLANE_MAGIC: Final = b"BSP1"
 _COPIED_MAGIC: Final = b"BSP2"
-_MANY_RUNS: Final = 32  # a plane with a run for less than so many pixels is stored as copies
+_MANY_RUNS: Final = 32  # a plane whose runs have fewer pixels than this on average is stored as copies
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows
 _CAMERA: Final = struct.Struct("<6H6I")
 _PROJECTOR: Final = struct.Struct("<H6H5I")
@@ -136,7 +136,7 @@ class BodysegImages:
 
 
 def _slopes_of(image: Range, labels: Bytes, facing: Bytes) -> tuple[Box, tuple[int, int, int, int, int], bytes]:
-    """The box, the counts and the frame of a range image with its labels, 255 exactly where it is 0."""
+    """The box, the counts and the frame of a range image and its labels, which are 255 exactly where the range is 0."""
     box = bounding_box(labels != BACKGROUND)
     joined = find_runs(box.crop(labels).astype(np.uint16) | (box.crop(facing).astype(np.uint16) << np.uint16(8)))
     runs = Runs((joined.values & np.uint16(255)).astype(np.uint8), joined.lengths)
@@ -170,10 +170,10 @@ def encode_images(camera: Range, labels: Bytes, facing: Bytes, projector: Range 
 
 
 def _is_smooth(projector: Range) -> bool:
-    """True if a projector's range takes much less as slopes than as runs, as one does that was not reduced.
+    """True if a projector's range takes much less as slopes than as runs, as one does that was not rounded.
 
-    What the shadow test needs are multiples of powers of two, few of them odd. As slopes they would take half a percent
-    less of a sample, and a sample three times as long to decode.
+    Ranges rounded for the shadow test are multiples of powers of two, few of them odd. As slopes they would save half a
+    percent of a sample's bytes, and a sample would take three times as long to decode.
     """
     changes, texels = np.count_nonzero(projector[:, 1:] != projector[:, :-1]), np.count_nonzero(projector)
     return bool(4 * changes > texels and 4 * np.count_nonzero(projector & np.uint16(1)) > texels)
@@ -252,7 +252,7 @@ def _decode_camera(
         numbers = np.concatenate([labels, facing, numbers[counts.runs :]])
     images = _camera_images(size, out)
     with if_ready:
-        edges = np.empty(2 * (counts.starts + box.height), np.int32)  # a row's end divides at most one stretch
+        edges = np.empty(2 * (counts.starts + box.height), np.int32)  # the end of a row divides at most one stretch
         found = loops(_LOOPS).fill_camera(numbers, counts, box, np.uint8(unlabelled), *images, edges)
         if found >= 0:
             return *images, edges[:found]
@@ -289,7 +289,7 @@ def _decode_projector(
     values, lengths, longs = _split(numbers, counts.sizes)
     stored = np.repeat(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box))
     box.crop(image)[:] = stored.reshape(box.height, box.width)
-    return image, np.flatnonzero(image != 0).astype(np.int32)  # of booleans it is several times as fast
+    return image, np.flatnonzero(image != 0).astype(np.int32)  # searching booleans is several times as fast
 
 
 class _ThreadMemory(threading.local):
@@ -305,7 +305,7 @@ _of_thread = _ThreadMemory()
 
 
 def _camera_images(size: tuple[int, int], out: tuple[Range, Bytes] | None) -> tuple[Range, Bytes, Bytes]:
-    """Arrays for range, labels and facing, whatever they hold."""
+    """Arrays for range, labels and facing, with any content: those of `out` if they fit."""
     if out is None or not (_fits(out[0], size, np.uint16) and _fits(out[1], size, np.uint8)):
         return np.empty(size, np.uint16), np.empty(size, np.uint8), np.empty(size, np.uint8)
     if _of_thread.facing.shape != size:

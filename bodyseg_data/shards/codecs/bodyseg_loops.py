@@ -19,7 +19,7 @@ _ESCAPE: Final = np.uint64(255)
 _BACKGROUND: Final = np.uint64(255)
 _UNLABELLED: Final = np.uint8(254)
 _CHUNK: Final = np.uint64(64)
-"""Pixels that are written at once: most runs are shorter, and what is too much is overwritten by the next run."""
+"""Pixels that are written at once: most runs are shorter, and the next run overwrites what is too much."""
 
 
 @_kernel
@@ -80,7 +80,7 @@ def fill_camera(
     run, next_long, start, step, escape, edge = _0, _0, _0, _0, _0, _0
     value, remaining, first, here = _BACKGROUND, _0, _0, _0
     label, faced = np.uint8(255), np.uint8(0)
-    inside = False  # the pixel before belongs to the body
+    inside = False  # whether the pixel before was measured
     done = np.uint64(box.top) * columns
     for i in range(done):
         ranges[i] = 0
@@ -95,7 +95,7 @@ def fill_camera(
         for i in range(left):
             names[done + i] = 255
             faces[done + i] = 0
-        column, begin = _0, width  # begin: of the body in this row; width if the last pixel is background
+        column, begin = _0, width  # begin: of the stretch in this row; width on background
         while column < width:
             if remaining == _0:
                 if run == runs:

@@ -225,7 +225,7 @@ def decode_copies(packed: Bytes, stored: Bytes, size: tuple[int, int]) -> Range:
         loops(_LOOPS).fill_copies(kinds, numbers, columns, copied)
         return copied.reshape(size)
     index = np.arange(pixels)
-    # From the pixel that a stretch of equal ones to the right begins with, up to the one that it equals, and so on.
+    # From a pixel left to where its run of equal ones begins, up to the pixel that this one equals, and so on.
     source = np.maximum.accumulate(np.where(kinds == _LEFT, 0, index))
     source -= np.where(kinds[source] == _ABOVE, columns, 0)
     while not new[source].all():
