@@ -36,8 +36,8 @@ from bodyseg_model.segmentation import LABELS, UNDISTORTED
 EXAMPLE = "bodyseg export-labels --in labelled --out coco --format coco"
 
 _FORMAT: Final = "bodyseg label export 1"
-_NOTE: Final = "export.json"  # of every export: what it is, and that another may replace it
-_APPLES: Final = ("._", ".DS_Store")  # how names of files begin that macOS leaves where somebody looks
+_NOTE: Final = "export.json"  # in every export: what it is; such a folder may be replaced by another export
+_APPLES: Final = ("._", ".DS_Store")  # how names of files begin that macOS leaves in folders
 
 DENSE_POSE: Final = np.zeros(256, np.uint8)
 """Label of the 33 parts -> DensePose's chart, uint8 [256], 0 for none; the first of those not told apart."""
@@ -254,7 +254,7 @@ def compressed(counts: NDArray[np.int64]) -> str:
 
 
 def _path(folder: Path, name: str) -> Path:
-    """A path within the export's folder, whose own folder is made. Raises BadConfig for one that leads out of it."""
+    """A path within the export's folder; makes the folders on the way. Raises BadConfig for one that leads out."""
     path = folder / name
     if ".." in path.parts:
         raise BadConfig(f"an image's name must stay in its folder, found {name}")
@@ -286,7 +286,7 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
         for image in _with_ranges(folder, images):
             (rows, columns), things = image.labels.shape, things or image.instances is not None
             size = {"width": columns, "height": rows, "range_step_m": image.step_m}
-            name = f"{'' if image.range is None else 'range/'}{image.name}.png"  # else as in the folder of the frames
+            name = f"{'' if image.range is None else 'range/'}{image.name}.png"  # else of a file of the frames
             told_images.append({"id": image.number, "file_name": name, **size})
             told_images[-1] |= {} if image.time_s is None else {"time_s": image.time_s}
             entries, ids = list[dict[str, Any]](), np.zeros(image.labels.size, np.uint32)

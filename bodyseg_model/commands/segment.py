@@ -57,9 +57,9 @@ from bodyseg_model.training import use_threads
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "sensor", "weights_sha256")  # identify it
-_NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
+_NEAR: Final = 0.7  # share of the stand-off below which there is a warning (docs/results/segment.md)
 _SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
-_SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
+_SHADOW_FRAMES: Final = 8  # number of frames whose shadows tell whether a recording is mirrored
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def _remarks(
             f"{summary.things / frames:.2g} things a frame that look like people got no label, as the network doubts "
             "them: --keep-things labels them, too"
         )
-    # Where nobody was found, 0 if the network doubted things, and 1 if it saw none.
+    # Without people, 0 if there were things that the network doubted, else 1.
     sure = summary.mean_confidence or float(not summary.things)
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}{'' if summary.people else ', as no frame tells'}")
@@ -265,7 +265,7 @@ def _remarks(
             f"frames are probably {shown} --mirrored"
         )
     range_m, rig = summary.median_range_m, recording.labeller.rig
-    if range_m is not None and range_m < _NEAR * rig.stand_off_m:  # so near, perspective cannot be resampled
+    if range_m is not None and range_m < _NEAR * rig.stand_off_m:  # resampling does not correct so near a perspective
         lines.append(
             f"bodies are {range_m:.2g} m away, the network was trained for {rig.stand_off_m:.2g} m (rig {rig.name}): "
             "so near, labels are less accurate"

@@ -61,7 +61,7 @@ from bodyseg_model.training import (
     use_threads,
 )
 
-_WAIT_ADVISED: Final = 0.2  # share of a training's waiting from which on there is advice
+_WAIT_ADVISED: Final = 0.2  # share of a training's time spent waiting for images from which on there is advice
 _CLASSES: Final = "classes"
 _OF_HEADS: Final = {_CLASSES, TEMPLATE}  # settings in which a network may differ from the one that it starts from
 

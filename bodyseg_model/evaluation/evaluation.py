@@ -31,7 +31,7 @@ from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerIma
 from bodyseg_model.networks import Network, check_label_map, check_network, device_of, predict
 
 _WORST: Final = 10
-_WHOLE: Final = "all"  # the subset of images whose set names none
+_WHOLE: Final = "all"  # subset of images of sets without subsets
 _STAGES: Final = ("network", "scores", "loading")
 
 
@@ -220,10 +220,10 @@ def evaluate(
     check_label_map(network, predicts)
     joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
     device = device_of(network)
-    measures = confidences and MEASURABLE and not images.transforms  # which may move pixels
+    measures = confidences and MEASURABLE and not images.transforms  # transforms may move pixels
     stage = Stopwatch(_STAGES)
     found.milliseconds = stage.milliseconds
-    # One process evaluates, also under torchrun; and the order is that of the images' epoch, for every split.
+    # One process evaluates, also under torchrun. For every split the order is that of the images' epoch.
     data_loader = loader(
         images, batch_size, num_workers, shuffle=True, rank=0, world_size=1, worker_method=worker_method
     )
@@ -254,7 +254,7 @@ def evaluate(
 def _away(
     images: RangeImages, index: int, truth: NDArray[np.uint8], predicted: NDArray[np.uint8]
 ) -> NDArray[np.float32]:
-    """Distances of the wrong pixels of an image to the parts predicted for them, by the stored sample, float32 [N]."""
+    """Distances of an image's wrong pixels to the parts predicted for them, on the stored sample, float32 [N]."""
     sample = images.clean(index)
     labels = np.array(sample.labels)
     if not images.label_map.is_whole:

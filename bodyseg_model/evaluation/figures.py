@@ -51,7 +51,7 @@ def draw_figures(figures: Tree, folder: Path) -> list[Path]:
 
 def draw_parts(figures: Tree) -> Any:
     """Average per-class accuracy of the set and its subsets, and accuracy of each class: the paper's Fig. 6."""
-    groups = {"all": figures} | figures["subsets"] | {"all": figures}  # "all" of subsets: images of none
+    groups = {"all": figures} | figures["subsets"] | {"all": figures}  # "all" of the subsets is another
     parts = figures["classes"]
     figure = new_chart(9.5, 3.2 + 0.27 * (len(groups) + len(parts)))
     upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, len(parts) + 0.6), sharex=True)
@@ -234,7 +234,7 @@ _HEADS: Final = ("range", "truth", "prediction", "mistakes", "confidence", f"abo
 _DROPPED: Final = (120, 122, 128)
 _RIGHT, _WRONG, _SWAPPED = (220, 226, 236), (232, 134, 46), (148, 62, 190)
 _KIND_COLOURS: Final = {"right": _RIGHT, "other": _WRONG}
-"""Any other kind is a swap. Light, medium and darker, so that they are distinct in grey as well."""
+"""Any other kind is a swap. Light, medium and dark, so that they differ in grey, too."""
 
 # Low to high confidence: dark to light as well as blue to yellow.
 _RAMP: Final = np.array([[0, 34, 78], [66, 78, 108], [124, 123, 120], [189, 175, 110], [254, 232, 56]])

@@ -185,7 +185,7 @@ class Confidences:
 
     def __init__(self, classes: int = PART_COUNT) -> None:
         truth, predicted = np.divmod(np.arange(classes**2), classes)
-        # Pair number -> 1 if it is wrong, and the flat index of its first bin in `by_class`.
+        # For each number of a pair (truth, predicted): 1 if it is wrong; the flat index of its first bin in `by_class`.
         self._wrong = (truth != predicted).astype(np.int64)
         self._first_bin = (2 * truth + self._wrong) * THRESHOLD_STEPS
         self.counts: NDArray[np.int64] = np.zeros((2, CELLS), np.int64)

@@ -38,7 +38,7 @@ LARGE: Final = SHIPPED.with_name("large.safetensors")
 """Of a more accurate one, which takes longer."""
 
 _NAMED: Final = {file.stem: file for file in (SHIPPED, LARGE)}
-"""Name -> file, for those who name a network that ships instead of a path."""
+"""Name -> file of a network that ships, which may be given instead of a path."""
 
 PLACES: Final = SHIPPED.with_name("compact_places.safetensors")
 """Of its head of places; the settings in the card are those of both together."""
@@ -206,7 +206,7 @@ def load_network(
 
 
 def _read_weights(file: Path, facts: Mapping[str, Any]) -> tuple[dict[str, torch.Tensor], str]:
-    """Tensors of a file and its SHA-256. Raises BadConfig unless that is the one that `facts` name, if they do."""
+    """Tensors of a file and its SHA-256. Raises BadConfig if `facts` name another SHA-256."""
     data, expected = read_bytes(file), facts.get(CardWords.WEIGHTS_SHA256)
     digest = hashlib.sha256(data).hexdigest()
     if expected not in (None, digest):
@@ -259,7 +259,7 @@ def read_card(weights: Path) -> dict[str, Any]:
 
 
 def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) -> Network:
-    """A network as a card or a plan describes it. Raises BadConfig, naming the file, also for one far beyond `held`."""
+    """A network as a card or a plan describes it. Raises BadConfig, also for one with far more weights than `held`."""
     name, settings = card.get("network"), card.get("settings")
     if not isinstance(name, str) or not isinstance(settings, dict):
         raise BadConfig(f"{where} must name the network and its settings")

@@ -91,11 +91,11 @@ class Compact(Network):
         self.head = nn.Conv2d(widths[0], self.classes * self._fine**2, 1)
         self.on_template = shape.template
         if shape.template:
-            # Not one layer: features that tell parts apart tell places within them by bends alone.
+            # Three layers: features that tell parts apart tell places within parts only by a nonlinear function.
             channels = widths[0], 256, 128
             bends = [(nn.Conv2d(*pair, 1), nn.ReLU(inplace=True)) for pair in itertools.pairwise(channels)]
             self.template = nn.Sequential(*itertools.chain(*bends), nn.Conv2d(channels[-1], 3 * self._fine**2, 1))
-        # As the values between layers are laid out: else each convolution lays its weights out anew.
+        # The layout of values between layers: with another, each convolution would convert its weights.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @classmethod
@@ -145,7 +145,7 @@ class Compact(Network):
 
 
 def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
-    """`F.pixel_shuffle`, [B, C side^2, h, w] -> [B, C, h side, w side], with a gradient laid out as layers want it."""
+    """`F.pixel_shuffle`, [B, C side^2, h, w] -> [B, C, h side, w side]; gradients have the layers' memory format."""
     if torch.onnx.is_in_onnx_export() or not x.requires_grad:
         return F.pixel_shuffle(x, side)
     batch, channels, rows, columns = x.shape

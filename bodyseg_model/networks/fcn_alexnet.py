@@ -50,8 +50,8 @@ STRIDE: Final = 32
 _PADDING: Final = 100
 _KERNEL: Final = 2 * STRIDE - 1
 
-# Pixel m of conv7 sees the image around 32 m + 13: in the image's pixels, conv1 puts it at 4 m + 5 - 100, each of the
-# three poolings doubles it and adds one of its own pixels, conv6 adds two and a half. Upfeat puts it at 32 m + 31.
+# Pixel m of conv7 sees the image around 32 m + 13. Pixel m of conv1 is at 4 m + 5 - 100 of the image; each of the three
+# poolings doubles the factor and adds one of its input's pixels; conv6 adds 2.5 of its own. Upfeat puts m at 32 m + 31.
 _CROP: Final = 18
 
 RANGE_SCALE: Final = 50.0

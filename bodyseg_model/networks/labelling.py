@@ -32,8 +32,8 @@ POWER: Final = tuple(np.float32(c) for c in (1.3333558e-3, 9.6181291e-3, 5.55041
 _P0, _P1, _P2, _P3, _P4, _P5 = POWER
 _HALF, _ONE, _LEAST = np.float32(0.5), np.float32(1), np.float32(-np.inf)
 _NOTHING = np.float32(0)
-_PIECES: Final = 6  # of an image for several threads: a body is not evenly divided among its rows
-_LEAST_PIXELS: Final = 1 << 13  # measured, of a thread: to start and await one takes as long as labelling some thousand
+_PIECES: Final = 6  # pieces of an image that several threads take: its rows do not have equal shares of a body
+_LEAST_PIXELS: Final = 1 << 13  # measured pixels that pay for a thread: to start one takes as long as some thousand
 
 Floats = NDArray[np.float32]
 Axis = tuple[NDArray[np.int64], Floats]
@@ -101,7 +101,7 @@ def number_image(places: Any, range_m: Any, down: Any, across: Any, parts: Any, 
 @lru_cache(maxsize=64)
 def interpolation(size: int, stride: int) -> Axis:
     """Neighbours and weights of `size` pixels between scores `stride` apart, both [size]."""
-    twice = 2 * np.arange(size) + 1 - stride  # the pixel's centre less the first score's point, in half pixels
+    twice = 2 * np.arange(size) + 1 - stride  # from the first score's point to the pixel's centre, half pixels
     before = twice // (2 * stride)
     after = (twice - 2 * stride * before) / (2 * stride)
     return before, after.astype(np.float32)
@@ -130,7 +130,7 @@ def label_rows(
         top, bottom = max(square_row - 1, 0), min(square_row, height - 1)
         row_start = max((stride * (2 * square_row - 1)) // 2, 0)
         row_end = min((stride * (2 * square_row + 1)) // 2, down.size)
-        shown[:] = 0  # where any of these rows was measured: most squares are empty
+        shown[:] = 0  # columns with a measured pixel in these rows: most squares are empty
         for row in range(row_start, row_end):
             metres = range_m[row]
             for column in range(metres.size):

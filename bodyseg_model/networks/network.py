@@ -174,7 +174,7 @@ class WrappedModule(Network):
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores; see `Network.scores`. Raises BadConfig where the module gives others."""
         check_range_images(range_m)
-        if self.module.training and not self.training:  # trained meanwhile; it may be in a `FlipAverage`, too
+        if self.module.training and not self.training:  # set since, also within a `FlipAverage`
             raise BadConfig("a wrapped module must be in evaluation mode, as its network is: call network.eval() first")
         rows, columns = range_m.shape[2:]
         image = F.pad(range_m, (0, -columns % self.multiple, 0, -rows % self.multiple))
@@ -254,7 +254,7 @@ def patches_of(range_m: torch.Tensor, side: int, shrink: int = 1) -> Patches:
     relief = F.pad(relief_of(range_m), (0, -columns % cell, 0, -rows % cell))
     if shrink > 1:
         relief = shrunk(relief, shrink)
-    # Layers would convert after copies of twice the size.
+    # Converted here: the layers would convert later, from copies of twice the size.
     return Patches(_unshuffled(relief.to(layers), side), F.avg_pool2d(relief[:, 1:], side))
 
 
@@ -289,7 +289,7 @@ def metric_patches(range_m: torch.Tensor, side: int, focal_px: float) -> Patches
 
 
 def _fits_loops(range_m: torch.Tensor, layers: torch.dtype) -> bool:
-    """True if numbers are asked for, not a graph or gradients, of types and on a device that the loops know."""
+    """True if the loops know types and device, and only numbers are asked for, no graph and no gradients."""
     if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() or range_m.requires_grad:
         return False
     return range_m.dtype == torch.float32 and layers in (torch.float32, torch.bfloat16) and in_loops(range_m)
@@ -309,7 +309,7 @@ def _by_loops(range_m: torch.Tensor, side: int, layers: torch.dtype, focal_px: f
 
 
 def _unshuffled(x: torch.Tensor, side: int) -> torch.Tensor:
-    """`F.pixel_unshuffle`, [B, C, H, W] -> [B, C side^2, H / side, W / side]: one copy, laid out as layers want it."""
+    """`F.pixel_unshuffle`, [B, C, H, W] -> [B, C side^2, H / side, W / side], copied once, in the layers' format."""
     if torch.onnx.is_in_onnx_export():  # graphs have one operation for it
         return F.pixel_unshuffle(x, side)
     batch, channels, rows, columns = x.shape

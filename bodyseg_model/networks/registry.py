@@ -127,7 +127,7 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
     if network.training:
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")
     if next(network.parameters(), range_m).dtype == torch.float32:
-        range_m = range_m.float()  # of float16, which layers of float32 refuse
+        range_m = range_m.float()  # layers of float32 refuse float16
     if range_m.device.type == "cpu":
         return _predict_on_processor(network, range_m, scores)
     _check_finite(bool(range_m.isfinite().all()))
@@ -138,7 +138,7 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
 
 
 def _check_finite(finite: bool) -> None:
-    if not finite:  # one such pixel would change the labels of all
+    if not finite:  # one such pixel would change all labels
         raise BadConfig("range images must be finite, 0 where nothing was measured")
 
 
@@ -192,8 +192,8 @@ def predict_each(
 
 
 def _label_by_torch(network: Network, scores: torch.Tensor, measured: torch.Tensor, empty: Prediction) -> Prediction:
-    """Label with PyTorch: on another device, without numba, where every pixel has scores, or where some are not finite,
-    and so confidences neither.
+    """Label with PyTorch: on another device, without numba, where every pixel has scores, or where some scores are not
+    finite; there, confidences are not finite either.
     """
     rows, columns = measured.shape[1:]
     scores = scores.contiguous(memory_format=torch.channels_last)
