@@ -47,14 +47,14 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
 _MCAP_RECORD: Final = struct.Struct("<BQ")
 _MESSAGE_START: Final = struct.Struct("<HIQQ")
 _PLAIN: Final = -1
-_SCANNED: Final = (1 << 26, 100)  # bytes that chunks without an index may claim, or times those of the file
+_SCANNED: Final = (1 << 26, 100)  # most bytes of chunks without an index: this many, or this many times the file's
 _ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
 
 _PACKED: Final = (".zstd", ".zst")
 
 
 _Places = NDArray[np.int64]
-"""Messages' records [N, 4]: channel; time, ns; byte of the chunk, `_PLAIN` for the file itself; byte within that."""
+"""Records of messages [N, 4]: channel; time, ns; the chunk's byte in the file, `_PLAIN` for none; byte within that."""
 
 
 class McapBag:
@@ -111,13 +111,13 @@ class McapBag:
             with self._path.open("rb") as file:
                 return _mcap_record(file, offset, _MESSAGE)[_MESSAGE_START.size :]
         if self._held[0] != chunk:
-            self._held = (_PLAIN, b"")  # not two chunks at once
+            self._held = (_PLAIN, b"")  # frees one chunk before the next is read
             with self._path.open("rb") as file:
                 self._held = chunk, _mcap_chunk(file, chunk, LARGEST_MESSAGE)
         return _mcap_record(io.BytesIO(self._held[1]), offset, _MESSAGE)[_MESSAGE_START.size :]
 
     def _list(self, file: BinaryIO) -> None:
-        """List where messages lie, by channel: by the index behind each chunk, or else by its own records."""
+        """Note where all messages lie: from the index behind each chunk, or from the chunk itself if it has none."""
         if file.read(len(MAGIC)) != MAGIC:
             raise ValueError("its first bytes are others")
         chunk, indexed, whole = _PLAIN, True, False

@@ -60,7 +60,7 @@ ENCODINGS: Final = (*_STEPS, _METRES)
 """Encodings of pixels that range images have."""
 
 _TRANSPORTS: Final = ("compressedDepth", "compressed")
-_UNNAMED: Final = {"png", "compressed", "compresseddepth", "rvl"}  # words of a format that names no encoding
+_UNNAMED: Final = {"png", "compressed", "compresseddepth", "rvl"}  # words in a format's text that name no encoding
 _GREY_PNG: Final = (b"\x89PNG\r\n\x1a\n", b"\x10\0")  # its first bytes; bits and colour, from byte 24
 _LARGEST_A: Final = 1e7
 _MOST_INFOS: Final = 1000
@@ -163,7 +163,7 @@ def _first_message(bag: Bag, topic: Topic) -> Any:
 
 
 def _stored_step(bag: Bag, topic: Topic) -> float | None:
-    """Metres a step as RealSense's recordings hold it, beside the sensor; None elsewhere."""
+    """Metres a step, from the topic beside the sensor's in RealSense's recordings; None in others."""
     sensor = topic.name.split("/")[:3]
     name = "/".join([*sensor, _UNITS_TOPIC])
     units = next((each for each in bag.topics if each.name == name and each.kind == FLOAT32), None)

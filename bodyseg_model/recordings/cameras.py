@@ -162,7 +162,7 @@ MODELS: Final = {  # name of a model -> the form of it, and how many coefficient
     "plumb_bob": ("plain", (4, 5)),
     "brown_conrady": ("plain", (4, 5)),
     "modified_brown_conrady": ("modified", (4, 5)),
-    "inverse_brown_conrady": ("modified", (4, 5)),  # librealsense draws, as into aligned images, by the same formula
+    "inverse_brown_conrady": ("modified", (4, 5)),  # librealsense projects by the same formula
     "rational_polynomial": ("rational", (4, 5, 8, 12)),
     "equidistant": ("fisheye", (4, 5)),
     "fisheye": ("fisheye", (4, 5)),
@@ -195,7 +195,7 @@ def driver_camera(
     name = re.sub(r"[^a-z0-9]+", "_", model.lower())
     form, counts = MODELS.get(name, ("", ()))
     given = list(coefficients)
-    while len(given) > 4 and not given[-1]:  # zeros behind say nothing
+    while len(given) > 4 and not given[-1]:  # zeros at the end have no effect
         given.pop()
     count = next((count for count in counts if count >= len(given)), 0)
     if not count or len(coefficients) < counts[0]:
@@ -223,7 +223,7 @@ def driver_camera(
 
 
 def _drawn(form: str, given: list[float], x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Places at z = 1 where a lens draws directions (x, y, 1)."""
+    """Places at z = 1 to which a lens projects directions (x, y, 1)."""
     squared = x * x + y * y
     r = np.sqrt(squared)
     if form == "fisheye":
@@ -235,7 +235,7 @@ def _drawn(form: str, given: list[float], x: Floats, y: Floats) -> tuple[Floats,
     k1, k2, p1, p2, k3, k4, k5, k6, *prism = given
     factor = 1 + squared * (k1 + squared * (k2 + squared * k3))
     factor = factor / (1 + squared * (k4 + squared * (k5 + squared * k6)))
-    u, v = (x * factor, y * factor) if form == "modified" else (x, y)  # where the lens is off centre by p1 and p2
+    u, v = (x * factor, y * factor) if form == "modified" else (x, y)  # the point at which p1 and p2 count
     across = x * factor + 2 * p1 * u * v + p2 * (squared + 2 * u * u)
     down = y * factor + p1 * (squared + 2 * v * v) + 2 * p2 * u * v
     s1, s2, s3, s4 = prism

@@ -113,10 +113,10 @@ def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE
 
 
 def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
-    """The PNGs in a folder; where there are none, the recording that it is, or those in its files as one.
+    """The PNGs in a folder; without any, the recording that the folder is, or all recordings in it as one.
 
-    Of images beside each other, as 7-Scenes, ScanNet and others have them, those of depth: by their names ("000.depth",
-    "depth_0") where some have such a name, or the folder called depth where there is nothing else to read.
+    Of images of several kinds, as 7-Scenes, ScanNet and others have them, those of depth are read: by their names
+    ("000.depth", "depth_0") if some have such a name; or those in the folder called depth if there is nothing else.
     """
     with reported(f"cannot read {path}", BadConfig, OSError):
         files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
@@ -163,7 +163,7 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
     names = stems
     if len(set(stems)) < len(stems):
         folders = [frame.path.parent.resolve().parts[1:] for frame in frames]
-        # A recording of several frames counts as a folder of its name.
+        # A recording of several frames counts as a folder with its name.
         inner = [() if frame.member is None else (frame.path.stem,) for frame in frames]
         homes = [(*above, *own) for above, own in zip(folders, inner, strict=True)]
         depth, deepest = 1, max(map(len, homes))

@@ -17,7 +17,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.recording import check_pixels
 
 _SIZE: Final = struct.Struct("<ii")
-_LONGEST: Final = 11  # pieces of a number of 32 bits
+_LONGEST: Final = 11  # most pieces of a number of 32 bits
 _SHIFTS: Final = np.arange(28, -4, -4).astype(np.uint32)
 
 
@@ -47,7 +47,7 @@ def decode_rvl(data: bytes) -> NDArray[np.uint16]:
 
 
 def _numbers(data: bytes) -> NDArray[np.int64]:
-    """The whole numbers of the words in `data`, int64 [N]; behind the last word's own there may be zeros."""
+    """The whole numbers in the words of `data`, int64 [N]; the last word may add zeros at the end."""
     words = np.frombuffer(data, "<u4", len(data) // 4)
     pieces = ((words[:, np.newaxis] >> _SHIFTS) & 15).ravel()
     ends = np.flatnonzero(pieces < 8)

@@ -227,7 +227,7 @@ def folded(network: Network) -> Network:
                 for first, convolution, normalisation in _normalised_convolutions(module):
                     module[first], module[first + 1] = fuse_conv_bn_eval(convolution, normalisation), nn.Identity()
             scores, expected = found.scores(example), network.scores(example)
-    except Exception:  # of any kind, as networks are anybody's
+    except Exception:  # of any kind: a network may be the user's
         return network
     return found if (scores - expected).abs().max() <= 0.01 * expected.abs().max() else network
 
@@ -257,7 +257,7 @@ class Bfloat16(Network):
             self.network = copy.deepcopy(network)
         for module in self.network.modules():
             if isinstance(module, (nn.Conv2d, nn.Linear)):
-                module.to(torch.bfloat16)  # autocast would round their weights in every call, to the same bits
+                module.to(torch.bfloat16)  # autocast would round the weights in every call, to the same bits
         self.train(network.training)
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:

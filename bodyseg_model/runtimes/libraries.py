@@ -20,8 +20,8 @@ RANGE: Final = "range_m"
 SCORES: Final = "scores"
 """Names of values of a graph: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up."""
 
-_FATAL_ONLY: Final = 4  # of ONNX Runtime's log
-MOST_BYTES: Final = 1 << 32  # of ONNX Runtime in all: small graphs may ask for any number
+_FATAL_ONLY: Final = 4  # level of ONNX Runtime's log
+MOST_BYTES: Final = 1 << 32  # for ONNX Runtime in all: a small graph may ask for any number
 
 
 class Runtime(ABC):

@@ -77,8 +77,8 @@ def answer_graph(network: Network) -> Any:
     example[:, :, 20:-20, 20:-20] = 2.5
     buffer, names = io.BytesIO(), [LABELS, CONFIDENCE, SCORES]
     try:
-        # Traced sizes are compared where layers check their input; that the trace fixes these checks is wanted.
-        # What it prints of a graph that it cannot write is of no use to users.
+        # Layers check their input by comparing sizes. The tracer warns that it fixes these checks, which is wanted,
+        # and prints of graphs that it cannot write what is of no use to users.
         with torch.no_grad(), warnings.catch_warnings(), redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
             torch.onnx.export(
@@ -91,7 +91,7 @@ def answer_graph(network: Network) -> Any:
                 opset_version=OPSET,
                 dynamo=False,
             )
-    except Exception as error:  # of any kind, as networks are anybody's
+    except Exception as error:  # of any kind: a network may be the user's
         first = str(error).strip().splitlines()[:1] or [""]
         raise BadConfig(f"{type(network).__name__} cannot be written as ONNX: {first[0]}") from error
     _check_trace(network, buffer.getvalue())
@@ -103,8 +103,8 @@ def answer_graph(network: Network) -> Any:
 def _check_trace(network: Network, graph: bytes) -> None:
     """Raise BadConfig if a graph gives other scores than its network for images of another size and number.
 
-    A trace holds what its example made: the branch that was taken, a size that was a plain number. ONNX Runtime tells,
-    where it is installed and has the network's arithmetic.
+    A trace holds what happened with its example: the branch that was taken, a size that was a plain number. The check
+    is by ONNX Runtime, where it is installed and has the network's arithmetic.
     """
     other = torch.linspace(0.5, 4, 2 * 104 * 168).reshape(2, 1, 104, 168).flip(2).contiguous()
     other[:, :, :24, 40:] = 0

@@ -25,7 +25,7 @@ _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
 _MOST_TIMES: Final = 1 << 24
 _LARGEST_STACK: Final = 1 << 30
-_MOST_PACKED: Final = 1100  # bytes that deflate makes of one
+_MOST_PACKED: Final = 1100  # bytes that deflate can unpack from one
 _RANGES: Final = re.compile(r"depth|(?<![a-z])(z|range|ranges|distance)(?![a-z])")
 _BESIDE: Final = re.compile(
     r"conf|mask|valid|std|sigma|noise|var|err|rgb|col|time|amp|ir(?![a-z])|infra|intens|label|vis"
@@ -132,12 +132,12 @@ class _Array:
 
     @property
     def sides(self) -> tuple[int, ...]:
-        """Its shape without a side of 1 that is the channel."""
+        """The shape without a channel of 1."""
         return without_channel(self.shape)
 
     @property
     def shaped(self) -> bool:
-        """True for the shape of a frame or of several: small matrices, as of a camera, are none, nor are masks."""
+        """True for the shape of one frame or several; False for masks, and for small matrices, as of a camera."""
         return len(self.sides) in (2, 3) and min(self.sides[-2:]) > 4 and self.kind.kind != "b"
 
     @property
@@ -181,7 +181,7 @@ class _Zipped(FrameSource):
         return np.frombuffer(data, array.kind).reshape(array.sides[-2:])
 
     def _opened(self, array: _Array, offset: int) -> IO[bytes]:
-        """The file of an array, at a byte; the zip's list of them is read once."""
+        """The file of an array, at byte `offset`; the zip's list of files is read once."""
         if self._archive is None:
             self._archive = zipfile.ZipFile(self._path)
         if self._held is None or self._held[0] is not array:
@@ -192,7 +192,7 @@ class _Zipped(FrameSource):
         return self._held[1]
 
     def _stack(self, array: _Array) -> NDArray[Any]:
-        """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last array stays."""
+        """All frames [N, H, W] of an array in Fortran's order, where frames alternate; the last array is kept."""
         if self._whole is None or self._whole[0] is not array:
             self._whole = None
             values = np.lib.format.read_array(self._opened(array, 0), max_header_size=_LONGEST_HEADER)

@@ -14,7 +14,7 @@ from bodyseg_model.recordings.recording import LARGEST_SIDE, MOST_FRAMES, Frame,
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "I": np.int32, "F": np.float32}
 
-_UNREAD: Final = 65533  # in all pixels
+_UNREAD: Final = 65533  # in all pixels of a page that was not read
 _BIG: Final = 43  # version of a TIFF with offsets of 64 bits
 
 
@@ -70,7 +70,7 @@ def _pages(file: IO[bytes]) -> list[bytes]:
     order: Literal["little", "big"] = "little" if start[:2] == b"II" else "big"
     many, entry, link = (8, 20, 8) if number(2, 2) == _BIG else (2, 12, 4)
     found, offset = dict[int, bytes](), number(link, link) or size
-    while offset and offset not in found:  # some writers end with a page that was there before
+    while offset and offset not in found:  # some writers end with a link to an earlier page
         end = offset + many + entry * number(offset, many)
         if end + link > size:
             raise ValueError(f"page {len(found)} lies beyond its end: byte {offset}")
@@ -82,7 +82,7 @@ def _pages(file: IO[bytes]) -> list[bytes]:
 
 
 class _FromPage(io.FileIO):
-    """A TIFF with another header, which names another first page: Pillow loads all pages before the one it seeks."""
+    """A TIFF whose header names another page as the first: Pillow would load all pages before the one that it seeks."""
 
     def __init__(self, path: Path, head: bytes) -> None:
         super().__init__(path)
