@@ -33,26 +33,26 @@ MotionModel = Literal["still", "rigid", "parts"]
 SAME_BODY_M: Final = 0.5
 """Bodies of two frames are one if their middles are nearer, metres: 12 m/s at 25 frames a second."""
 
-_AWAY_FRAMES: Final = 30  # for which a body may be out of sight and keep its number
-_AWAY_M: Final = 1.0  # that it may be farther then: people pass behind others
+_AWAY_FRAMES: Final = 30  # frames for which a body may be out of sight and keep its number
+_AWAY_M: Final = 1.0  # how far it may have moved then: people pass behind others
 _UNMOVED: Final = np.eye(3, 4, dtype=np.float32)
-_LEAST_PIXELS: Final = 1 << 12  # of a thread that carries evidence, so that starting it pays
+_LEAST_PIXELS: Final = 1 << 12  # fewest pixels for which a further thread pays
 _NOWHERE: Final = -1.0  # a tolerance within which no range is: evidence starts anew
 _JUMP_M: Final = 0.04  # neighbouring cells whose ranges differ by more are of two surfaces
 _GATE_M: Final = 0.05  # cells further from the surface they meet do not count
-_NOISES: Final = 3.0  # standard deviations of a cell's ranges that the gate is at least
-_NEARLY: Final = 1.5  # times as large as they should be, or that much smaller, cells may be
+_NOISES: Final = 3.0  # the gate is at least this many standard deviations of a cell's ranges
+_NEARLY: Final = 1.5  # ratio within which the size of cells may differ from what it should be
 _RIGID_STEPS: Final = 5
-_RIGID_CELLS: Final = 800  # suffice for a rigid motion: of more, every second, third ... is used
-_STILL: Final = np.repeat([0.002, 1.0], 3)  # weight of no turn, square metres, and of no shift: a cell's is 1
-_PART_CELLS: Final = 20  # of a part that moves by itself, at least
+_RIGID_CELLS: Final = 800  # enough for a rigid motion: of more cells, every second, third ... is used
+_STILL: Final = np.repeat([0.002, 1.0], 3)  # weights of no turn, square metres, and of no shift; that of a cell is 1
+_PART_CELLS: Final = 20  # fewest cells of a part that moves by itself
 _PART_REACH_M: Final = 0.3  # greatest shift of a part beyond the body's own
 _PULL: Final = 0.05  # weight of a part's shift
 _FAITH_NOISE_M: Final = 0.02  # noise that halves the weight of distances to planes
-_FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MORE cells of which the label agrees
+_FALL_M: Final = 0.001  # fall of the mean difference of range that counts as much as _MORE cells whose label agrees
 _MORE: Final = 0.01
-_REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
-_MOST_GAIN: Final = 2.0  # that is remembered, so that a body that begins to bend is soon seen to
+_REMEMBERED: Final = 0.7  # share of the earlier frames' gain of shifting parts that counts in the next frame
+_MOST_GAIN: Final = 2.0  # most gain that is remembered, so that a body that begins to bend is soon recognised
 _BENDS: Final = 1.5  # gain from which on a body bends
 
 
@@ -153,7 +153,7 @@ class Rule(NamedTuple):
 
 @dataclass(frozen=True)
 class _LastFrame:
-    """The frame before: its camera and images; of each of its bodies cells, their lens, and the gain of shifting parts,
+    """The frame before: its camera and images; of each body its cells, their lens, and the gain of shifting parts,
     summed up over the frames so far.
     """
 
@@ -222,8 +222,8 @@ class CarriedLabels:
         return new.shown.reshape(labels.shape).copy()
 
     def _lens(self, body: BodyPixels, camera: Camera) -> CellLens:
-        """The camera's numbers, and cells of the size that `carrying.cell_m` has at the body's range, or, so that it
-        seldom changes, of nearly that size, as a body of the last frame has.
+        """The camera's numbers, and cells as large as `carrying.cell_m` is at the body's range; or those of a body of
+        the last frame if their size is nearly that, so that it seldom changes.
         """
         some = body.pixels[:: len(body.pixels) // _LEAST_PIXELS + 1]
         side = max(1, round(self.carrying.cell_m * camera.focal_px / float(np.median(body.range_m[some]))))
@@ -247,7 +247,7 @@ class CarriedLabels:
         return Cells(grid, points, normals, beside, labels, noise_m)
 
     def _track(self, middles: Sequence[Middle], pairs: Sequence[int | None]) -> None:
-        """Number the bodies of the next frame: as those of the frame before that they are, else as those away."""
+        """Number the next frame's bodies: as in the frame before, else as bodies that were out of sight, else anew."""
         self._frame += 1
         known = {n: seen for n, seen in self._tracked.items() if seen[1] >= self._frame - _AWAY_FRAMES}
         numbers = [None if pair is None else self.tracks[pair] for pair in pairs]
@@ -272,9 +272,9 @@ class CarriedLabels:
         """Motion of a body back to the frame before (`carry`), and the gain of shifting its parts, summed up. lens:
         of the earlier cells, whose area is so many times `larger`.
 
-        A rigid motion, and displacements that fit the surface smoothly. These start from the shifts of parts if ranges
-        and labels fit better with them over the last frames: else the body is rigid, and of one that turns, the middles
-        of parts follow what comes into view, not the skin.
+        A rigid motion, and displacements that fit the surface smoothly. These start from the shifts of parts only if
+        ranges and labels fit better with them over the last frames. Else the body is rigid: if it turns, the middles of
+        its parts follow what comes into view, not the skin.
         """
         noise = max(own.noise_m, earlier.noise_m)
         gate = max(_GATE_M, _NOISES * noise)
@@ -370,8 +370,8 @@ def part_shifts(places: Floats, labels: Labels, earlier: Cells, larger: float = 
 
 
 def _parts(points: Floats, labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Middles, float64 [256, 3], metres, of parts, by the areas of their cells; and these, in cells times square metres
-    of range.
+    """Middles of parts, float64 [256, 3], metres, weighted by the areas of their cells; and the sums of these areas, in
+    cells times square metres of range.
     """
     area = points[:, 2].astype(np.float64) ** 2
     areas: NDArray[np.float64] = np.bincount(labels, area, 256).astype(np.float64)

@@ -30,12 +30,12 @@ _BITS: Final = np.uint32(8)
 _SHARE_BITS: Final = np.uint32(10)
 _HALF: Final = np.float32(0.5)
 _UNIT: Final = np.float32(UNIT)
-_NEAREST_M: Final = np.float32(0.1)  # before the camera
-_SHIFT: Final = np.float32(4096)  # makes coordinates positive, so that cutting off decimals rounds down
+_NEAREST_M: Final = np.float32(0.1)  # least range at which a place is looked up
+_SHIFT: Final = np.float32(4096)  # makes coordinates positive, so that truncation rounds down
 _UNMOVED: Final = np.float32(0.005)  # weight of no displacement beyond the body's motion
 _ROUNDS: Final = 2
 _SWEEPS: Final = 4
-_LEAST_FOR_NOISE: Final = 6  # pixels of a cell whose ranges say how noisy the frame is
+_LEAST_FOR_NOISE: Final = 6  # fewest pixels of a cell whose ranges count for the frame's noise
 
 
 @_kernel
@@ -45,12 +45,12 @@ def cells_of(body: Any, lens: Any, jump: Any) -> Any:
     second, third ... row and column is used.
     """
     count, step, range_m = lens.across * lens.down, max(1, lens.side // 3), body.range_m
-    cell_column = np.full(lens.columns, -1, np.int32)  # of the columns that are used
+    cell_column = np.full(lens.columns, -1, np.int32)  # -1: a column that is not used
     for u in range(0, lens.columns, step):
         cell_column[u] = u // lens.side
     total, many = np.zeros(count, np.float32), np.zeros(count, np.int32)
     pixels, cells = np.empty(len(body.pixels), np.int32), np.empty(len(body.pixels), np.int32)
-    rows = np.empty(len(body.pixels), np.int32)  # kept, as a division takes longer than all else
+    rows = np.empty(len(body.pixels), np.int32)  # kept: a division takes longer than all else
     number, v, first, beyond, line, used = 0, np.int64(0), np.int64(0), np.int64(0), 0, False
     for pixel in body.pixels:
         if pixel >= beyond:
@@ -69,7 +69,7 @@ def cells_of(body: Any, lens: Any, jump: Any) -> Any:
             mean[filled] = total[filled] / many[filled]
             grid[filled] = found
             found += 1
-    # The pixel nearest the mean range decides which of two surfaces in a cell is meant.
+    # If a cell shows two surfaces, the pixel nearest to the mean range decides which one counts.
     middle, off, spread = np.empty(found, np.float32), np.full(found, np.float32(np.inf)), np.zeros(found, np.float32)
     labels, place = np.empty(found, np.uint8), np.empty(found, np.int32)
     for k in range(number):
@@ -230,7 +230,7 @@ def carry(body: Any, lens: Any, rigid: Any, field: Any, grid: Any, old: Any, rul
             v = pixel // lens.columns
             first, beyond, line = v * lens.columns, (v + 1) * lens.columns, v // lens.side * lens.across
             y_of = (np.float32(v) + _HALF - cy) / focal
-        p, u = np.uint64(pixel), np.uint64(pixel - first)  # int64 would be tested for counting from the end
+        p, u = np.uint64(pixel), np.uint64(pixel - first)  # int64 would be tested for negative indices
         z, label = range_m[p], np.uint32(labels[p])
         x, y, cell = x_of[u] * z, y_of * z, grid[np.uint64(line + cell_of[u])]
         px, py, pz = a * x + b * y + c * z + d, e * x + f * y + g * z + h, i * x + j * y + k * z + l

@@ -25,9 +25,9 @@ from bodyseg_model.segmentation.views import compiled_loops
 BackgroundMode = Literal["people", "limits", "keep", "frame"]
 
 _PERSON: Final = 0  # of the finder's two classes
-_SURE: Final = 3.0  # logarithm of odds: 95 %
-_RAISED: Final = 1.1  # beside such a cell 25 % becomes 50 %: in made rooms 0.4 points of recall for 0.3 of F1
-_RAISED_CELLS: Final = 7  # square around it
+_SURE: Final = 3.0  # log odds of 95 %
+_RAISED: Final = 1.1  # log odds added beside such a cell, so 25 % are 50 %: 0.4 points of recall for 0.3 of F1
+_RAISED_CELLS: Final = 7  # side of the square around such a cell
 _JUMP_M: Final = 0.1  # greatest difference of range between neighbours on one surface
 _JUMP_SHARE: Final = 0.04  # the same beyond 2.5 m: sensors are coarser at a distance
 _JUMP: Final = np.array([_JUMP_M, _JUMP_SHARE], np.float32)
@@ -42,9 +42,9 @@ _BESIDE_M: Final = 0.1  # from the person's box in the image
 _BELOW_M: Final = (0.35, 2.1)  # greatest distance in range, and height in all, of a person in two parts
 
 _STEP_RAD: Final = 3 / 525  # between samples
-_OWN_M2: Final = 0.1  # least surface of each of several people in one piece
-_EDGE_M: Final = 0.02  # jumps of more, and of 0.3 as much again a metre of range, part people who touch
-_ACROSS_EDGES: Final = 60.0  # lengthens a way along the surface by this many times the jumps on it
+_OWN_M2: Final = 0.1  # least surface of each of several people in one piece, square metres
+_EDGE_M: Final = 0.02  # larger jumps part people who touch; grows by 0.3 of itself a metre of range
+_ACROSS_EDGES: Final = 60.0  # a way along the surface is longer by this many times the jumps on it
 _COARSE_M: Final = 0.018  # between samples among which heads are looked for
 _LEVEL_M: Final = 0.1
 _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a head, metres
@@ -186,7 +186,7 @@ view_of = lru_cache(maxsize=8)(FinderView)
 
 
 def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels]:
-    """Pixel of a frame's axis, `side` for none, at each pixel of the resampled one; and that one's at each of its."""
+    """Pixels along an axis: of the frame, at each of the resampled image, `side` for none; and the other way round."""
     half = max(1, round(max(centre, side - centre) * scale))
     there = np.floor(centre + (np.arange(2 * half) + 0.5 - half) / scale).astype(np.intp)
     back = np.floor(half + (np.arange(side) + 0.5 - centre) * scale).astype(np.intp)
@@ -197,9 +197,9 @@ def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels]:
 
 
 class _Samples(NamedTuple):
-    """Every so many pixels of people, in reading order. rows, columns: on the grid of samples, int [N]. points: x, y, z
-    along the camera's axes, metres, float64 [N, 3]. area_m2: as if each faced the camera, float64 [N]. edges: pairs of
-    neighbours on one surface, int [2, M]. a_metre: samples, at the median range of some of them.
+    """Pixels of people, one of every few rows and columns, in reading order. rows, columns: on the grid of samples, int
+    [N]. points: x, y, z along the camera's axes, metres, float64 [N, 3]. area_m2: as if each faced the camera, float64
+    [N]. edges: pairs of neighbours on one surface, int [2, M].
     """
 
     rows: Pixels
@@ -214,7 +214,7 @@ class _Samples(NamedTuple):
         return float(1 / np.sqrt(np.median(self.area_m2)))
 
     def some(self, chosen: Pixels) -> _Samples:
-        """Those of ascending numbers."""
+        """The samples with these numbers, in ascending order."""
         number = np.full(len(self.rows), -1)
         number[chosen] = np.arange(len(chosen))
         edges = number[self.edges]
@@ -252,7 +252,7 @@ def part_people(range_m: Ranges, people: Mask, camera: Camera) -> list[Pixels]:
 
 
 def _sampled(grid: Ranges, first: tuple[float, float], step: int, focal_px: float) -> _Samples:
-    """Samples where a grid of ranges is not 0. first: of its first sample, rows and columns from the optical axis."""
+    """Samples where a grid of ranges is not 0. first: the grid's first row and column, pixels from the optical axis."""
     shown, number = grid > 0, np.full(grid.shape, -1)
     rows, columns = np.nonzero(shown)
     number[rows, columns] = np.arange(len(rows))
@@ -278,7 +278,7 @@ def _neighbours(line: Pixels, place: Pixels, z: Floats, step: float) -> Pixels:
 
 
 def _pieces(samples: _Samples) -> tuple[Pixels, Mask]:
-    """The piece of every sample, from 0, int [N], where each is of one person; and which were parted from others."""
+    """The piece of every sample, from 0, int [N], each of one person; and which pieces were cut from others, bool."""
     graph = _graph(np.ones(samples.edges.shape[1]), samples)
     count, piece = _scipy("scipy.sparse.csgraph").connected_components(graph, directed=False)
     piece, cut = piece.astype(np.intp), [False] * count
@@ -297,8 +297,8 @@ def _graph(lengths: Floats, samples: _Samples) -> Any:
 
 
 def _nearest_heads(samples: _Samples) -> Pixels:
-    """Number of the head that is nearest along the surface, of every sample of a piece, int [N]: all 0 for a piece of
-    one person.
+    """For every sample of a piece the number of the head that is nearest along the surface, int [N]; all 0 for a piece
+    of one person.
     """
     a_metre, z = samples.a_metre, samples.points[:, 2]
     whose = np.zeros(len(z), np.intp)
@@ -325,8 +325,8 @@ def _nearest_heads(samples: _Samples) -> Pixels:
 def _heads(samples: _Samples, edge_m: float) -> list[int]:
     """Samples that are tops of heads of a piece, whose surface jumps by more than `edge_m` where one body ends.
 
-    From the top downwards, surfaces begin, grow and meet; a head is one that is wide enough where it meets another that
-    began higher, or that never meets another and has nothing of the piece above it.
+    Row by row from the top, surfaces begin, grow and meet. A surface is a head if it is wide enough where it meets one
+    that began higher, or if it never meets another and has nothing of the piece above it.
     """
     loops, thin = compiled_loops(), max(1, int(samples.a_metre * _COARSE_M))
     kept = (samples.rows % thin == 0) & (samples.columns % thin == 0)
@@ -339,8 +339,8 @@ def _heads(samples: _Samples, edge_m: float) -> list[int]:
     around = np.minimum(np.minimum(z[:-2, 1:-1], z[2:, 1:-1]), np.minimum(z[1:-1, :-2], z[1:-1, 2:]))
     whole, shown = (number >= 0) & (z[1:-1, 1:-1] - around < edge_m), number >= 0
     least_height, least_area, least_width = _HEAD
-    tops, heads, level = list[int](), list[int](), max(1, round(_LEVEL_M * a_metre))  # tops and heads: numbers of cells
-    above, cells = np.full(whole.size, -1), np.zeros(whole.size, np.intp)  # cells: of a surface, at its first
+    tops, heads, level = list[int](), list[int](), max(1, round(_LEVEL_M * a_metre))  # of first cells
+    above, cells = np.full(whole.size, -1), np.zeros(whole.size, np.intp)  # cells: number of a surface's, at its first
     for last in range(level, len(whole) + level, level):
         areas_before = {top: cells[loops.first_of(above, top)] / a_metre**2 for top in sorted(tops)}
         loops.join_rows(whole, last - level, min(last, len(whole)), above, cells)

@@ -31,7 +31,7 @@ from bodyseg_model.segmentation.segmenter import (
 from bodyseg_model.segmentation.views import Undistortion, metres_of
 
 _READ: Final = "read"
-_KEPT: Final = 4  # segmenters: an undistortion takes as much memory as several frames
+_KEPT: Final = 4  # segmenters that are kept: an undistortion takes as much memory as several frames
 
 _END: Final = object()
 
@@ -41,10 +41,10 @@ TURNED_HELP: Final = "turn of the camera, by where heads point in frames: up 0, 
 """Help of `--turned`."""
 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
-_MOST_LOOKED_AT: Final = 32  # of a recording; of a stream, as many of the first, and then one of `_SELDOM`
+_MOST_LOOKED_AT: Final = 32  # frames of a recording; of a stream, its first ones, then one in `_SELDOM`
 _SELDOM: Final = 16
 _SURER: Final = 0.05
-_PERSON: Final = 0.65  # mean confidence; on furniture, the network that ships has less
+_PERSON: Final = 0.65  # least mean confidence in a person; the network that ships has less on furniture
 
 Item = TypeVar("Item")
 
@@ -72,8 +72,8 @@ Labelling = Callable[[], LabelledFrame]
 
 @dataclass
 class _Turns:
-    """Confidence in people at each turn of one camera's frames. frames: of a stream so far; judged: those with
-    people. confidence: of each turn, the sum over judged frames, float64 [4].
+    """Confidence in people at each turn of one camera's frames. frames: number of a stream's so far; judged: number of
+    those with people. confidence: for each turn, the sum over judged frames, float64 [4].
     """
 
     frames: int = 0
@@ -354,7 +354,7 @@ class LabelledRecording:
         for frame in self.frames[:: -(-len(self) // _MOST_LOOKED_AT)]:
             if turns.judged == _JUDGED:
                 break
-            with contextlib.suppress(BadConfig):  # one that cannot be read is told of when it is labelled
+            with contextlib.suppress(BadConfig):  # a frame that cannot be read is reported when it is labelled
                 pixels, segmenter, _ = self.undistorted(frame, frame.read())
                 self.labeller.judge(turns, to_metres(pixels, frame.step_m), segmenter.camera)
         return turns
@@ -373,7 +373,7 @@ class LabelledRecording:
         with contextlib.closing(read_ahead(found) if ahead else found) as coming:
             for number, label in enumerate(coming):
                 if number == 0 or self.frames[number].sequence != self.frames[number - 1].sequence:
-                    self.labeller.restart(numbers=number == 0)  # nobody has that of somebody in another input
+                    self.labeller.restart(numbers=number == 0)  # no person gets the number of one in another input
                 if label is not None:
                     yield label()
 

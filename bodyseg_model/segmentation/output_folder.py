@@ -103,7 +103,7 @@ class OutputFolder:
         with reported(f"cannot write {self.path}", BadConfig, OSError):
             kept = {self.image(folder, frame["name"]) for folder in self.folders for frame in self._frames}
             self.path.mkdir(parents=True, exist_ok=True)
-            write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})  # first: it says whose all is
+            write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})  # first: says whose all is
             stale = {image for frame in self._earlier for image in self._images(frame["name"])} - kept
             above = {folder for image in stale for folder in image.parents if folder.is_relative_to(self.path)}
             needed = {self.path, *(image.parent for image in kept)}
@@ -113,7 +113,7 @@ class OutputFolder:
                 leftover.unlink(missing_ok=True)
             for name in (SUMMARY, PREVIEW, LEGEND):
                 (self.path / name).unlink(missing_ok=True)
-            for folder in sorted(above - needed, reverse=True):  # those within others first
+            for folder in sorted(above - needed, reverse=True):  # inner folders first
                 with contextlib.suppress(OSError):  # it is not there, or holds something else
                     folder.rmdir()
 
@@ -200,7 +200,7 @@ class WriteBehind:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         self._thread.shutdown()
-        # A job's error came before one of the frames after it, but not before Ctrl-C.
+        # A job's error goes before an error of later frames, but not before Ctrl-C.
         failed = self._failed if error is None or isinstance(error, Exception) else None
         if failed is not None and failed is not error:
             raise failed
@@ -240,12 +240,12 @@ class FrameResults(WriteBehind):
                 bodies = [body.pixels for body in labelled.bodies]
                 overlay = images[OVERLAY] = draw_overlay(labelled.range_m, labelled.labels, bodies, self._label_map)
                 if overlay.shape[:2] == self._shape:
-                    self._preview.add(overlay)  # an animation has frames of one size
+                    self._preview.add(overlay)  # all frames of an animation have one size
             if UNDISTORTED in self._out.folders and labelled.stored is not None:
                 images[UNDISTORTED] = labelled.stored
             if TEMPLATE in self._out.folders:
                 images[TEMPLATE] = labelled.template
-            # The disk is waited for at the end: four times a frame would keep a slow one from real time.
+            # Flushed at the end: to wait for a slow disk four times a frame would take more than real time.
             for folder, image in images.items():
                 write_result(self._out.image(folder, frame.name), encode_picture(image), flushed=False)
         times = {**labelled.milliseconds, **watch.milliseconds}

@@ -28,7 +28,7 @@ _ROOM_GREYS: Final = (96, 44)
 _UNKNOWN_GREYS: Final = (235, 140)
 _DARKEST: Final = 0.55
 _LEVELS: Final = 6
-_SHADES: Final = 128  # of a colour: more than the bytes between its lightest and its darkest
+_SHADES: Final = 128  # shades of a colour: more than there are bytes between its lightest and its darkest
 _ENDS: Final = (0.02, 0.98)
 _SAMPLED: Final = 4096  # ranges of a body or of the room that say how near and far it reaches
 _PREVIEW_SIDE: Final = 320
@@ -39,8 +39,8 @@ FRAMES_PER_SECOND: Final = (0.1, 50.0)
 """Limits of a GIF: delays are hundredths of a second, and players replace very short ones by long ones."""
 
 _LEVEL: Final = 2
-"""Of zlib and of isal. With zlib an overlay takes a third of the time of Pillow's level 3, which filters, and has about
-as many bytes; with isal a quarter of zlib's time and 7 % more bytes."""
+"""Level of zlib and isal. With zlib an overlay takes a third of the time of Pillow's level 3, which filters, and has
+about as many bytes; with isal a quarter of zlib's time and 7 % more bytes."""
 
 _COLOUR: Final = {2: 0, 3: 2}  # colour type of an image of so many dimensions: grey, RGB
 

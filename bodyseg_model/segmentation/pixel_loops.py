@@ -22,10 +22,10 @@ _LEAST_AHEAD: Final = 1e-9
 far outside the frame."""
 
 AROUND: Final = 2
-"""Cells each way that a pixel's odds are a mean of."""
+"""Cells to each side over which a pixel's odds are averaged."""
 
 _WIDTH: Final = 1.5  # standard deviation of their weights, cells
-_OTHER: Final = np.float32(0.05)  # share of a range by which another surface's differs
+_OTHER: Final = np.float32(0.05)  # share of a range by which that of another surface differs
 
 _kernel = partial(compiled, feature="labelling frames", extra="segment")
 _overlay_kernel = partial(compiled, feature="overlays", extra="segment")

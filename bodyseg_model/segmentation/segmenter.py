@@ -28,7 +28,7 @@ from bodyseg_model.segmentation.persons import Records, SurfacePixels
 from bodyseg_model.segmentation.views import BodyView, compile_loops, metres_of, usual_views, view_body, view_frame
 
 STAGES: Final = ("find", "resample", "network", "back", "video")
-_SURE: Final = 0.8  # mean confidence: of 276 images of people who stand at most three have less, half of those who lie
+_SURE: Final = 0.8  # mean confidence; less have at most 3 of 276 images of people who stand, and half of those who lie
 
 LEAST_CONFIDENCE: Final = "least_confidence_of_people"
 """Entry of a network's card: bodies are things whose mean probability of a person, times the mean confidence of their
@@ -121,7 +121,7 @@ class Segmentation:
         return image
 
     def _image(self, nothing: Any, of_bodies: Iterable[Any]) -> NDArray[Any]:
-        """An image [H, W], of the type of `nothing`, which stands beside bodies, of one value or [N] for each body."""
+        """An image [H, W] of one value or [N] values for each body, and `nothing` elsewhere, whose type it has."""
         image = np.full(self.labels.shape, nothing)
         for body, values in zip(self.bodies, of_bodies, strict=True):
             image.ravel()[body.pixels] = values
@@ -170,8 +170,8 @@ def turned_image(image: NDArray[Any], quarters: int) -> NDArray[Any]:
 
 
 def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
-    """The answer to an upright frame as one to the frame that was turned clockwise by so many right angles."""
-    # At each pixel of the upright frame the pixel of the other.
+    """Turn the answer to an upright frame back to the frame, which was turned clockwise by so many right angles."""
+    # place: for each pixel of the upright frame, its pixel in the original one.
     labels, range_m = (turned_image(image, -quarters) for image in (answer.labels, answer.range_m))
     place = turned_image(np.arange(labels.size).reshape(labels.shape), quarters).ravel()
 
@@ -185,8 +185,8 @@ def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
 
 
 def _may_lie(range_m: NDArray[np.float32]) -> bool:
-    """True for a view, [h, w], metres, that is wider by a fifth than high, as who lies is from the height of the floor;
-    or whose upper third of pixels is 0.15 m farther away than its lower third, as from above.
+    """True for a view, [h, w], metres, of a person who may lie: a fifth wider than high, as seen from the height of the
+    floor; or the upper third of pixels 0.15 m farther away than the lower third, as seen from above.
     """
     seen = range_m > 0
     high, wide = (np.count_nonzero(seen.any(axis=axis)) for axis in (1, 0))
@@ -197,7 +197,7 @@ def _may_lie(range_m: NDArray[np.float32]) -> bool:
 
 @cache
 def _compute_alone_in_forks() -> None:
-    """Have forks of this process compute in one thread: OpenMP waits for ever for those that they do not have."""
+    """Have forks of this process compute in one thread: OpenMP would wait for ever for threads that a fork lacks."""
     os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
 
 
@@ -295,7 +295,7 @@ class Segmenter:
         watch, camera = Stopwatch(STAGES), self._upright
         with watch("find"):
             range_m = turned_image(range_m, self.quarters)
-            # Mirrored ones as they are: half of the images that finders are trained on are mirrored.
+            # Mirrored frames are not turned: half of the images that finders are trained on are mirrored.
             bodies = find_bodies(range_m, camera, self.background, self.finder)
         with watch("resample"):
             resample = partial(view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored)
@@ -341,8 +341,8 @@ class Segmenter:
         return _turned_back(segmentation, self.quarters) if self.quarters else segmentation
 
     def _turn_unsure(self, found: FoundBodies, answers: list[tuple[NDArray[Any], ...]]) -> None:
-        """Replace answers of which the network is unsure by those to views upside down, where it is surer of these: of
-        people who lie it has seen more from one end than from the other.
+        """Replace answers of which the network is unsure by those to the views upside down, where it is surer of these:
+        in training it saw more of the people who lie from one end than from the other.
         """
         unsure = [n for n, (_, sure, *_) in enumerate(answers) if sure.sum() < _SURE * np.count_nonzero(sure)]
         views = {n: view for n in unsure if self._either_way and _may_lie(view := found.bodies[n][1].range_m)}

@@ -100,13 +100,13 @@ def view_body(
     depths, across = range_m.ravel()[pixels].astype(np.float64), columns + 0.5 - camera.centre_px[0]
     turn = turn_rad
     if turn is None:
-        with np.errstate(invalid="ignore"):  # what is no range is refused below
+        with np.errstate(invalid="ignore"):  # bad ranges are refused below
             sides = across * depths
         turn = math.atan2((sides.min() + sides.max()) / 2, float(np.median(depths)) * camera.focal_px)
     sine, cosine = math.sin(turn), math.cos(turn)
     depths *= across / camera.focal_px * sine + cosine
     seen = (depths > 0) & (depths < np.inf)
-    if not seen.all():  # a loop below writes where these ranges say
+    if not seen.all():  # a loop below writes at indices computed from these
         raise BadConfig(f"a body's ranges must be finite and in front of its view, found {depths[~seen][0]:g} m")
     median_m = float(np.median(depths))
     focal_px = rig.camera.focal_px / rig.stand_off_m * median_m
