@@ -12,11 +12,11 @@ from bodyseg_model.segmentation import LabelledFrame
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import Floats, MarkedFrame, MarkedRecording
 
-_LEAST_EDGES: Final = 200  # at which one surface ends beside a farther one, both measured, for a verdict
-_END: Final = 0.2  # of a gap at either end counts as the end itself: limbs turn away steeply before their edge
+_LEAST_EDGES: Final = 200  # edges, each between two measured surfaces, that a verdict needs
+_END: Final = 0.2  # share of a gap at either end that counts as the end: limbs turn away steeply before their edge
 _LEAST_MIXED_SHARE: Final = 0.05
 _JUMP_M: Final = 0.03
-_WIDE: Final = 6.0  # jumps that a gap must have: limbs that turn away bridge smaller ones
+_WIDE: Final = 6.0  # least gap, in jumps: limbs that turn away bridge smaller ones
 _NOISES: Final = 8.0
 
 
@@ -36,7 +36,7 @@ def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
             plain += len(gaps_plain)
             each = 1 / (1 - 2 * np.maximum(jump / gaps_mixed, _END))
             between += float(each.sum())
-            beside += float((each * 2 * jump / gaps_mixed).sum())  # so near to an end that they look like it
+            beside += float((each * 2 * jump / gaps_mixed).sum())  # so near an end that they look like it
         room.append(float(np.median(frame.range_m[frame.room])) if frame.room.any() else np.nan)
     if mixed + plain < _LEAST_EDGES:
         few = f"{mixed + plain} edges before a measured surface, {_LEAST_EDGES} are needed"
@@ -52,8 +52,8 @@ def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
 
 
 def _edges(image: Floats, body: NDArray[np.bool_], jump: float) -> tuple[Floats, Floats]:
-    """Gaps of the edges after which rows go on farther away, metres: with one pixel between both ranges [N], and
-    without [M]. Two pixels on either side must be of one surface each; the nearer is a body's.
+    """Gaps, metres, at edges after which a row goes on farther away: of edges with one pixel between both ranges [N],
+    and without [M]. Two pixels on either side must be of one surface each; the nearer surface is a body's.
     """
     step, joined = np.diff(image), (image[:, 1:] > 0) & (image[:, :-1] > 0)
     flat, rise = joined & (np.abs(step) < jump), joined & (step >= jump)
@@ -66,8 +66,8 @@ def _edges(image: Floats, body: NDArray[np.bool_], jump: float) -> tuple[Floats,
 
 Side = Literal["left", "right"]
 
-_LEAST_GAPS: Final = 200  # rows of both outlines, room behind them, for a verdict
-_LEAST_PX: Final = 2.0  # width of a shadow; less is an edge
+_LEAST_GAPS: Final = 200  # rows of both outlines, with room behind them, that a verdict needs
+_LEAST_PX: Final = 2.0  # least width of a shadow; less is an edge
 _LEAST_DEPTH_M: Final = 0.2
 _ONE_SIDED: Final = 1.25  # least ratio of the wider to the narrower shadow that gives a side
 _MIDDLE: Final = (0.2, 0.8)
@@ -98,8 +98,8 @@ def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
         each = width / scale
         low, high = np.quantile(each, _MIDDLE)
         middle = each[(each >= low) & (each <= high)]
-        # Rows of one frame, and frames of one pose, are alike: as many independent ones as frames, times ten. Widths
-        # are whole pixels, so the mean of the middle ones is finer than the median.
+        # Rows of one frame, and frames of one pose, are alike: ten rows a frame count as independent. Widths are whole
+        # pixels, so the mean of the middle ones is finer than the median.
         independent = min(len(middle), 10 * len(recording.frames))
         baselines[side] = Estimate(float(middle.mean()), float(middle.std()) * 1.5 / np.sqrt(independent))
         widths[side] = float(np.median(width))
@@ -167,7 +167,7 @@ def probably_mirrored(shadow: ProjectorShadow | None, projector: Side | None) ->
 
 
 def _gaps(frame: MarkedFrame, focal_px: float, side: Side) -> Floats:
-    """Gaps between the body's last pixel on a side of a row and the first of the room beyond: widths in pixels, and
+    """Gaps in rows between the body's last pixel on a side and the first pixel of the room beyond: width in pixels, and
     focal length times the difference of inverse ranges, [2, N].
     """
     flip = np.s_[:, ::-1] if side == "left" else np.s_[:, :]

@@ -140,7 +140,7 @@ def draw_comparison(recording: MarkedRecording, sensor: SensorModel) -> Image.Im
 def simulate(clean_m: Floats, recording: MarkedRecording, sensor: SensorModel) -> Floats:
     """A clean body [H, W], metres, as a sensor shows it, metres; without shadows, which need what a projector sees."""
     without = SensorModel(sensor.name, tuple(artifact for artifact in sensor if artifact.name != "occlusion"))
-    step_mm = max(0.1, float(clean_m.max()) / 60)  # 65.5 m at 1 mm, and noise has room
+    step_mm = max(0.1, float(clean_m.max()) / 60)  # 16 bits reach beyond the range, with room for noise
     rig = Rig("frame", 1.0, recording.camera, replace(recording.camera, distortion=None), step_mm)
     steps = np.rint(clean_m / rig.range_step_m).clip(0, 65535).astype(np.uint16)
     labels = np.where(steps > 0, 0, BACKGROUND).astype(np.uint8)

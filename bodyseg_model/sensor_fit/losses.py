@@ -21,22 +21,22 @@ from bodyseg_model.sensor_fit.recording import (
     smooth_surface,
 )
 
-_MARGIN_PX: Final = 6  # pixels this near to an edge of a surface are not counted singly: edges are not lost at random
-_SEEN_SHARE: Final = 0.1  # of the frames of a still body, at least, show it in a pixel of its own
+_MARGIN_PX: Final = 6  # so near an edge of a surface, lost pixels are not counted singly: they are not lost at random
+_SEEN_SHARE: Final = 0.1  # least share of a still body's frames that show it in a pixel which counts as the body's
 _LEAST_PIXELS: Final = 2000
-_LEAST_SHARE: Final = 0.002  # of lost pixels for which an artifact is needed
+_LEAST_SHARE: Final = 0.002  # share of lost pixels from which on an artifact is needed
 _CLOSED_PX: Final = 2
 _JUMP_M: Final = 0.03
 _NOISES: Final = 8.0
-_TURNED: Final = 1.2  # slope, as its tangent
+_TURNED: Final = 1.2  # slope, as its tangent, of a surface that turns away from the camera
 _RIM_PX: Final = 4
-_BAND: Final = 0.02  # of the pixels in a typical row, at most, in a row that is a stripe
-_RUN_PX: Final = 15  # lost in a row, that no chance makes, at edges neither
-_FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb, as may several of different widths
-_FEWEST_CUT: Final = 3  # where one alone is not cut off by an end of the body
+_BAND: Final = 0.02  # most pixels of a row that is a stripe, as a share of those in a typical row
+_RUN_PX: Final = 15  # run of lost pixels that is no chance, nor an edge
+_FEWEST_BANDS: Final = 2  # a single band may be a patch across a limb, as may several of different widths
+_FEWEST_CUT: Final = 3  # fewest bands if only one of them is not cut off by an end of the body
 _ALIKE_BANDS: Final = 0.6
 _SOLID_PX: Final = 2
-_IN_FRAMES: Final = 0.1  # of the frames with that much lost show that it is no chance
+_IN_FRAMES: Final = 0.1  # share of frames with that much lost from which on it is no chance
 _STRIPED_FRAMES: Final = 0.4  # the same for stripes, which patches across a limb look like
 _ALIKE: Final = 0.15  # rates closer than this share of themselves are one
 _MOST_RATES: Final = 4
@@ -77,7 +77,7 @@ def outlines_of(recording: MarkedRecording) -> list[BodyOutline]:
 
 
 def _outlines(frames: Sequence[MarkedFrame], recording: MarkedRecording) -> list[BodyOutline]:
-    """The outlines of one body in frames that differ by losses and noise alone, or in a single one."""
+    """The outlines of one body in a single frame, or in several that differ by losses and noise alone."""
     seen = sum(frame.body.astype(np.int64) for frame in frames)
     room = np.asarray(sum(frame.room.astype(np.int64) for frame in frames) > len(frames) // 2)
     shown = np.asarray(seen >= max(1.0, _SEEN_SHARE * len(frames))) & ~room
@@ -98,7 +98,7 @@ def _outlines(frames: Sequence[MarkedFrame], recording: MarkedRecording) -> list
 
 
 def _stripes_along(striped: Mask, missing: Mask) -> Mask:
-    """Lost pixels of rows that are lost as a whole, and long runs of them in rows beside: stripes may end in a row."""
+    """Lost pixels of rows that are lost whole, and long runs of them in the next rows: stripes may end within a row."""
     from scipy.ndimage import binary_opening
 
     beside, runs = striped | np.roll(striped, 1) | np.roll(striped, -1), np.ones((1, _RUN_PX))
@@ -118,8 +118,8 @@ def filled(body: Mask, room: Mask) -> Mask:
 def _without_gaps(full: Mask, shown: Mask, surface: Callable[[], tuple[Floats, Floats]]) -> Mask:
     """A body without the holes through which nothing was there to see, such as between arm and trunk.
 
-    surface: `smooth_surface` of the body, called if there are holes. Round a gap it turns away from the camera; round a
-    lost patch it lies as everywhere.
+    surface: `smooth_surface` of the body, called if there are holes. Around a gap the surface turns away from the
+    camera; around a lost patch it does not.
     """
     from skimage.measure import label
 
@@ -136,7 +136,7 @@ def _without_gaps(full: Mask, shown: Mask, surface: Callable[[], tuple[Floats, F
 
 
 def _bridged(body: Mask) -> Mask:
-    """A body with bands of lost rows or columns filled from the nearer end of each, so that their area is right."""
+    """A body with each band of lost rows or columns filled from its nearer end, so that the body's area is right."""
     bridged = body.copy()
     for image, out in ((body, bridged), (body.T, bridged.T)):
         kept = np.flatnonzero(~_striped_rows(image, image))
@@ -145,8 +145,8 @@ def _bridged(body: Mask) -> Mask:
 
 
 def _striped_rows(body: Mask, full: Mask) -> Mask:
-    """The rows between the ends of the full body that show next to none of it, bool [H], if they make stripes: bands of
-    one width; one at an end of the body may be cut.
+    """Rows of the full body that show next to nothing of it, bool [H], if they are stripes: bands of one width, except
+    that an end of the body may cut one.
     """
     striped = np.zeros(len(body), np.bool_)
     counts, reach = np.count_nonzero(body, axis=1), np.flatnonzero(full.any(1))
@@ -171,7 +171,7 @@ def _striped_rows(body: Mask, full: Mask) -> Mask:
 
 
 def _behind_edges(frame: MarkedFrame) -> Mask:
-    """Lost pixels of rows between ranges that differ by an edge, where a projector's shadow lies."""
+    """Lost pixels between two pixels of a row whose ranges differ by an edge, where a projector's shadow lies."""
     image = frame.range_m.astype(np.float64)
     count = image.shape[1]
     left = np.maximum.accumulate(np.where(image > 0, np.arange(count), -1), 1)
@@ -192,7 +192,7 @@ def measure_losses(outlines: Sequence[BodyOutline]) -> list[Finding]:
 
 
 def _random(outlines: Sequence[BodyOutline]) -> Finding:
-    """Single lost pixels are counted away from edges, patches, stripes and shadows."""
+    """The finding of "missing_data": single lost pixels, counted away from edges, patches, stripes and shadows."""
     areas = [each.inside & ~dilated(each.solid | each.striped | each.shadow, _SOLID_PX) for each in outlines]
     counts = np.array([np.count_nonzero(area) for area in areas])
     lost = [np.count_nonzero(outline.lost & area) for outline, area in zip(outlines, areas, strict=True)]
@@ -206,7 +206,7 @@ def _random(outlines: Sequence[BodyOutline]) -> Finding:
 
 
 def _rates(rates: Floats) -> tuple[dict[str, Any], str]:
-    """One rate, a few that frames change between, or an interval."""
+    """Strengths by the frames' rates, and a reason: one rate, a few that frames change between, or an interval."""
     groups: list[list[float]] = []
     ordered: list[float] = np.sort(rates).tolist()
     for rate in ordered:
@@ -246,7 +246,7 @@ def _stripes(outlines: Sequence[BodyOutline]) -> Finding:
 def _area_loss(
     name: str, what: str, outlines: Sequence[BodyOutline], masks: Sequence[Mask], in_frames: float, missed: str
 ) -> Finding:
-    """A finding by the shares of the bodies' pixels in masks. missed: what moving bodies do not show."""
+    """A finding by the masks' shares of the bodies' pixels. missed: a text on what moving bodies do not show."""
     full = np.array([max(np.count_nonzero(outline.full), 1) for outline in outlines])
     shares = np.array([np.count_nonzero(mask) for mask in masks]) / full
     mean = float(shares.mean())

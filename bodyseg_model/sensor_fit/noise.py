@@ -20,15 +20,15 @@ from bodyseg_model.sensor_fit.recording import (
 )
 
 _LEAST_RESIDUALS: Final = 2000
-_LEAST_MM: Final = 0.3  # that is told from the relief of a surface and from files in millimetres
+_LEAST_MM: Final = 0.3  # least noise that can be told from the relief of a surface and from steps of 1 mm
 _MARGIN_PX: Final = 3  # pixels this near to a silhouette are left out: they may show two surfaces
-_JUMP_M: Final = 0.05  # between neighbours of two surfaces
-_STEEPEST: Final = 1.0  # slope, as its tangent, of surfaces whose shape third differences cancel
-_FEWEST: Final = 50  # residuals of one frame
-_VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
-_COARSE: Final = 0.16  # of a squared step: variance of two frames below which most values of both are equal
-_HELD: Final = 0.1  # share of differences beyond all noise from which a driver holds values over several frames
-_FILTERED: Final = 1.2  # variance between every other frame, over that of neighbours, from which a driver filters
+_JUMP_M: Final = 0.05  # difference of neighbours that are of two surfaces
+_STEEPEST: Final = 1.0  # slope, as its tangent, up to which third differences cancel a surface's shape
+_FEWEST: Final = 50  # fewest residuals of a frame
+_VARYING: Final = 0.06  # relative spread of the frames' deviations from which on noise differs between frames
+_COARSE: Final = 0.16  # variance, in squared steps, below which most values of two frames are equal
+_HELD: Final = 0.1  # share of differences beyond noise from which on the driver holds values over several frames
+_FILTERED: Final = 1.2  # ratio of the variance between every other frame to that between neighbours: the driver filters
 
 Row = tuple[float, int, float, float]
 """Noise of one frame or pair: variance, metres squared, rounding included; number of residuals; step and range, m."""
@@ -76,7 +76,7 @@ def _temporal(recording: MarkedRecording) -> Iterator[Row]:
         first, second = recording.frames[a], recording.frames[b]
         both = usable & first.body & second.body
         residuals = (second.range_m[both].astype(np.float64) - first.range_m[both]) / np.sqrt(2)
-        if len(residuals) >= _FEWEST and residuals.any():  # else one frame, twice
+        if len(residuals) >= _FEWEST and residuals.any():  # else both are the same frame
             step = _step_of(first, recording.step_m)
             variance = clipped_variance(residuals, step)
             if np.mean(np.abs(residuals) > 4.5 * max(np.sqrt(variance), step / 3)) < _HELD:
@@ -86,8 +86,8 @@ def _temporal(recording: MarkedRecording) -> Iterator[Row]:
 def _filtered(recording: MarkedRecording, usable: Mask) -> bool:
     """True if a driver filters values over time, or holds them: frames farther apart then differ more than neighbours.
 
-    Of independent frames a, b, c, d, ab and cd differ together as ac and bd do. Third differences cancel what sways.
-    Fours of which losses leave few differences say nothing.
+    For independent frames a, b, c, d, differences between a and b and between c and d together are as large as those
+    between a and c and between b and d. Third differences cancel movement. Fours with few differences do not count.
     """
     near, far, count = 0.0, 0.0, 0
     for a, b, c, d in recording.fours:
@@ -114,12 +114,12 @@ def _spatial(recording: MarkedRecording) -> Iterator[Row]:
 
 
 def _inner(range_m: NDArray[np.floating], known: Mask, sigma_m: float) -> Mask:
-    """The known pixels away from every jump of range, bool [H, W]; pixels that are not known are no jump."""
+    """The known pixels away from every jump of range, bool [H, W]; a pixel that is not known makes no jump."""
     return known & ~dilated(jumps(range_m, known, max(_JUMP_M, 8 * sigma_m)), _MARGIN_PX)
 
 
 def _step_of(frame: MarkedFrame, step_m: float) -> float:
-    """The step that a body's stored values lie on at its range, metres: the gap below half of its pixels' values."""
+    """The step of a body's stored values, metres: the median, over its pixels, of the gap to the next lower value."""
     values, counts = np.unique(frame.stored[frame.body], return_counts=True)
     if len(values) < 2:
         return step_m

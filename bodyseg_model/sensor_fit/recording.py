@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 _POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 _RADII: Final = (3, 8)
-_SLOPE_ERROR: Final = 0.04  # wanted of a fitted slope, as its tangent
+_SLOPE_ERROR: Final = 0.04  # error allowed for a fitted slope, as its tangent
 
 
 def dilated(mask: Mask, radius: int) -> Mask:
@@ -70,7 +70,7 @@ def smooth_surface(range_m: NDArray[np.floating], known: Mask, noise_m: float, c
 
     along = partial(correlate1d, mode="constant")
     surface, slope = np.full(range_m.shape, np.nan), np.full(range_m.shape, np.nan)
-    middle = float(np.median(range_m[known])) if known.any() else 1.0  # about which squares lose no digits
+    middle = float(np.median(range_m[known])) if known.any() else 1.0  # subtracted, or squares lose digits
     width = np.sqrt(noise_m * np.sqrt(12) * camera.focal_px / middle / _SLOPE_ERROR)
     radius = int(np.clip(np.ceil((width - 1) / 2), *_RADII))
     inside = box_of(known, radius)
@@ -104,13 +104,13 @@ def jumps(range_m: NDArray[np.floating], known: Mask, least_m: float) -> Mask:
     return found
 
 
-_MOST_FRAMES: Final = 40  # that are measured: of a longer recording, fours of neighbours spread evenly over it
-_STILL_SHARE: Final = 0.5  # intersection over union of a still body in two frames; half of each may be lost, elsewhere
+_MOST_FRAMES: Final = 40  # most frames that are measured: of more, groups of four neighbours, evenly spread
+_STILL_SHARE: Final = 0.5  # least intersection over union of a still body in two frames, each of which may lose much
 _BLOCK: Final = 8
 _LARGE_BLOCK: Final = 32
-_COHERENT: Final = 0.6  # of the means of small blocks are those of large ones that move; shared noise leaves less
-_ALIKE: Final = 0.5  # correlation of blocks between two pairs of frames; motion has 0.7 and more, noise 0.2 at most
-_MOST_DRIFT: Final = 0.4  # of the pixels' differences; blocks of 64 independent pixels show an eighth
+_COHERENT: Final = 0.6  # of a moving body, means of large blocks are at least this share of those of small ones
+_ALIKE: Final = 0.5  # correlation of blocks between two pairs of frames: of motion 0.7 and more, of noise 0.2 at most
+_MOST_DRIFT: Final = 0.4  # share of the pixels' differences in block means; 64 independent pixels give an eighth
 _LEAST_DRIFT_M: Final = 3e-4
 
 
@@ -160,7 +160,7 @@ class MarkedRecording:
 
     @cached_property
     def _sways(self) -> bool:
-        """True if blocks change alike in two pairs of four frames, as those of moving bodies do, or if no four tell."""
+        """True if blocks change alike in two pairs of four frames, as with moving bodies, or if there are no fours."""
         if not self.fours:
             return True
         for four in (*self.fours, (*self.fours[0][:2], *self.fours[-1][2:])):
@@ -192,7 +192,7 @@ class MarkedRecording:
 
 
 def _block_means(image: NDArray[np.float32], known: Mask, side: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Means of an image's known pixels in square blocks of which a quarter is, [N], and pixels of each."""
+    """Means of an image's known pixels in square blocks with at least a quarter known, [N], and pixels of each."""
     rows, columns = (length // side * side for length in known.shape)
     image = np.where(known, image, 0)
     sums, counts = (each[:rows, :columns].reshape(rows // side, side, -1, side).sum((1, 3)) for each in (image, known))

@@ -125,7 +125,7 @@ _POSED: Final = ("desk", "kick", "fist")
 
 _DESK_M: Final = 1.0
 _BORDERS: Final = {1: "Substernale", 2: "Rt. Axilla, Post."}
-_AHEAD_DEG: Final = 85, 3  # 18 azimuths over half a circle become as many from -28 to 28 degrees
+_AHEAD_DEG: Final = 85, 3  # middle, and divisor: 18 azimuths over half a circle become 18 from -28 to 28 degrees
 
 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
@@ -198,11 +198,11 @@ def _crop(image: NDArray[np.uint16], share: float, from_end: bool = False) -> ND
 
 
 _WALL_M: Final = 1.5  # behind the rig's stand-off
-_REFLECTANCE: Final = 0.5  # of clothes that are not dark
+_REFLECTANCE: Final = 0.5  # reflectance of clothes that are not dark
 
 
 def _fringes(speed_m_s: float = 0.0, reflectance: float = _REFLECTANCE, ambient: float = 0.0) -> PhaseShift:
-    """The paper's sensor, of which every image has one speed, one reflectance of clothes and one ambient light."""
+    """The paper's sensor with one speed, one reflectance of clothes and one ambient light in every image."""
     return PhaseShift(
         dimmest=ambient, brightest=ambient, slowest_m_s=speed_m_s, fastest_m_s=speed_m_s,
         darkest=reflectance, lightest=reflectance, patterned=0.0,
@@ -226,7 +226,7 @@ _CROPS: Final[dict[str, Callable[[Sample, float], NDArray[np.uint16]]]] = {
 }
 
 
-_HIDDEN_WITHIN: Final = 0.05  # of the share that things are to hide
+_HIDDEN_WITHIN: Final = 0.05  # largest difference from the share that things are to hide
 _HIDDEN_ATTEMPTS: Final = 64
 
 RENDERABLE: Final = ("open", "hard")
@@ -366,7 +366,7 @@ class _PosedBody:
         return self._rendered(rig, rig.camera, rig.stand_off_m)
 
     def _behind_things(self, rig: Rig, share: float, shown: bool) -> LabelledImage:
-        """Image of a body of which things hide a share, 5 % more or less. shown: leave their ranges in the image."""
+        """Image of a body of which things hide a share, within 5 %. shown: leave the things' ranges in the image."""
         placed = looking_down(rig.camera, self.body.mesh.centre, self.azimuth_deg, rig.stand_off_m, 0.0)
         seen = self.renderer.render(placed)
         things = draw_things(
@@ -386,8 +386,8 @@ class _PosedBody:
         return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, surface, labels)
 
     def _at_desk(self, rig: Rig, landmark: str) -> LabelledImage:
-        """Render what the other camera of the longest focal length sees, level and near, resampled; the frame ends
-        below at a landmark.
+        """Image of the other camera with the longest focal length, level and near, resampled; the frame's lower end is
+        at a landmark.
         """
         camera = sensor(_FOCALS_PX[0])
         border = self.body.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]

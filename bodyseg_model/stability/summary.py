@@ -51,7 +51,7 @@ _SPARE: Final = tuple(map(
 ))  # fmt: skip
 """Lines of further groups; where a colour is repeated, the marker differs."""
 
-_FEW_TIMES: Final = 10  # as strong as the weakest: further strengths are drawn by their logarithms
+_FEW_TIMES: Final = 10  # ratio of the strongest to the weakest from which on strengths are drawn by logarithms
 _COLUMNS: Final = 4
 _WIDTH: Final = 16.0
 _MOST_IN_A_ROW: Final = 6
@@ -237,7 +237,7 @@ def group_of(groups: Sequence[Group], paths: Sequence[Path]) -> Group | None:
 
 
 def _identity(card: dict[str, Any]) -> str:
-    """All on a card that identifies a training, except seeds, its own and each set's, and names of files, as JSON."""
+    """All on a card that identifies a training, as JSON, without names of files and seeds, its own and each set's."""
     text = json.dumps([card.get(name) for name in _ALIKE])
     return json.dumps(json.loads(text, object_hook=lambda tree: tree | {"seed": None, "file": None}), sort_keys=True)
 

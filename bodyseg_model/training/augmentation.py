@@ -76,7 +76,7 @@ def _moved(range_m: torch.Tensor, labels: torch.Tensor, maps: torch.Tensor) -> t
     """Images and labels with each pixel taken from the one nearest to where its `_source_map`, [B, 2, 2], points."""
     images, _, rows, columns = range_m.shape
     x, y = ((2 * torch.arange(side, device=maps.device) + 1) / side - 1 for side in (columns, rows))
-    down, across = (  # the place in the source is the sum of what a pixel's column gives and what its row gives
+    down, across = (  # a place in the source is the sum of a term of the pixel's column and one of its row
         (maps[:, axis, 0, None] * x * half, (maps[:, axis, 1, None] * y + 1) * half - 0.5)
         for axis, half in ((1, rows / 2), (0, columns / 2))
     )
@@ -103,7 +103,7 @@ def _source_map(angle: float, down: float, across: float, rows: int, columns: in
 
 
 def _cut_side(side: int, share: float, rows: int, columns: int) -> tuple[slice, slice]:
-    """Rows and columns of a share of an image at its top, bottom, left or right, which are out of view."""
+    """Rows and columns of the share of an image that is cut off at its top, bottom, left or right."""
     down, across = int(share * rows), int(share * columns)
     every = slice(None)
     if side < 2:
@@ -152,13 +152,13 @@ def augmented(
     """
     images = len(labels)
     if places is not None:
-        # Draws belong to epochs and keys, so numbers that take the place of ranges are moved as these are.
+        # Numbers go along as further ranges. Draws belong to epochs and keys, so both are moved alike.
         range_m, labels = torch.cat([range_m, places]), torch.cat([labels, labels])
         epochs, keys = epochs * 2, keys * 2
     if mirrored_as is not None:
         draws = mirror_draws(seed, epochs, keys).to(range_m.device)
         range_m, labels = mirror(range_m, labels, draws, mirrored_as)
-        range_m[images:][draws[images:]] *= -1  # places, if any
+        range_m[images:][draws[images:]] *= -1  # the numbers, if any
     range_m, labels = geometric(range_m, labels, seed, epochs, keys)
     return range_m[:images], labels[:images], None if places is None else range_m[images:]
 

@@ -117,7 +117,7 @@ def train(
     return load_network(folder.path)
 
 
-_WAIT_NAMED: Final = 0.01  # share of waiting from which on the log says what for
+_WAIT_NAMED: Final = 0.01  # share of time spent waiting from which on the log says what for
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class Training:
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimisers = make_optimisers(self.network, recipe)
         self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
-        self.result = self.network if self.averaged is None else self.averaged.network  # that is validated and saved
+        self.result = self.network if self.averaged is None else self.averaged.network  # what is validated and saved
         self.validation, self.pretrained = validation, pretrained
         self.step = 0
         self._best: Best | None = None
@@ -286,7 +286,7 @@ class Training:
         accuracy = scores.confusion.average_per_class_accuracy()
         if math.isnan(accuracy):  # these images show no body
             return metrics
-        if self._best is None or accuracy > self._best.accuracy or self.recipe.only_places:  # which alters no label
+        if self._best is None or accuracy > self._best.accuracy or self.recipe.only_places:  # whose labels never change
             self._best = Best(self.step, accuracy)
             save_network(self.folder.path / RunFiles.BEST, self.result, self.name, self._card(facts, self.step))
         right = round(scores.confusion.pixel_accuracy(), 5)

@@ -21,7 +21,7 @@ PLACE_WEIGHT: Final = 1.0
 """Weight of a pixel's error of place, the sum of its three coordinates', against its cross-entropy."""
 
 _BITS: Final = {torch.float32: torch.uint32, torch.bfloat16: torch.uint16}
-"""Types of scores that the compiled loops know, and of their bits."""
+"""Types of scores that the compiled loops know -> types of their bits."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class SelectedPixels:
 
 
 class _Interpolated(torch.autograd.Function):
-    """The same bits, and bits of gradients, by compiled loops: PyTorch passes over four points' scores a pixel."""
+    """The same bits, also of gradients, by compiled loops: PyTorch would write the scores of four points a pixel."""
 
     @staticmethod
     def forward(
@@ -164,7 +164,7 @@ class NetworkWithLoss(nn.Module):
             torch.arange(side, device=range_m.device)[int(share * self.loss_stride) :: self.loss_stride]
             for share, side in zip(offset.tolist(), labels.shape[1:], strict=True)
         )
-        step = self.network.output_stride  # all of scores that are coarser than the image, else those selected
+        step = self.network.output_stride  # above 1: all scores are taken, else those of the selected pixels
         if numbers is not None:
             scores = self.network.scores_and_places(range_m)
             scores = scores if step > 1 else scores[:, :, rows][..., columns]

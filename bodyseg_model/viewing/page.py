@@ -226,7 +226,7 @@ _ASPECT: Final = 0.6  # width over height of the space between the panels of a u
 _PICTURE_PX: Final = 440
 _CONTROLS_PX: Final = 300
 _PHONE_PX: Final = 640
-_FREE: Final = 0.4  # share of the height, from the top, that the controls leave free of windows that are narrower
+_FREE: Final = 0.4  # share of a narrower window's height, from the top, that the controls leave free
 _SAME: Final = 0.02
 _DEVICE_M: Final = 0.22
 _DEVICE_COLOURS: Final = ((32, 34, 40), (196, 110, 20), (150, 60, 140))
@@ -359,7 +359,7 @@ class Page:
     def _follow(self, client: viser.ClientHandle) -> None:
         """Keep the whole body in one client's window, whatever its shape, until somebody moves the view."""
         places, fitted = [np.asarray(self.server.initial_camera.position)], [0.0]
-        free = _FREE if client.camera.image_width < _PHONE_PX else 1.0  # at first, the whole window's
+        free = _FREE if client.camera.image_width < _PHONE_PX else 1.0  # image_width is the whole window's at first
 
         def fit(camera: viser.CameraHandle) -> None:
             unmoved = any(np.allclose(camera.position, place, atol=1e-3) for place in places)

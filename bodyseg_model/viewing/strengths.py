@@ -83,7 +83,7 @@ def moved(artifact: Kind, slider: Slider, value: float) -> Kind:
 
 
 def _slider(artifact: Artifact, field: Field[Any], item: int | None, value: float, whole: bool) -> Slider:
-    # Without bounds of its own an artifact may still refuse to be moved somewhere.
+    # A strength without bounds may still be refused by the artifact.
     bounds: Bounds = field.metadata.get("bounds") or Bounds(-math.inf, math.inf)
     rounds = [digit * 10.0**power for power in range(_SMALLEST, _LARGEST + 1) for digit in (1, 2, 5)]
     wanted = _REACH * (_reference(artifact, field, value) or min(bounds.high, 1.0) / _REACH)
