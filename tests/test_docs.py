@@ -186,6 +186,12 @@ def test_whatever_a_document_names_exists() -> None:
     assert not {document: wrong for document, wrong in found.items() if wrong}
 
 
+def test_files_that_docstrings_of_the_wheel_name_exist() -> None:
+    sources = [path for home in ("bodyseg_data", "bodyseg_model") for path in (ROOT / home).rglob("*.py")]
+    named = {path: set(FILE.findall(path.read_text())) for path in sources}
+    assert not [f"{path}: {name}" for path, names in named.items() for name in names if not (ROOT / name).exists()]
+
+
 def test_names_of_nothing_are_found() -> None:
     text = """
 # One heading

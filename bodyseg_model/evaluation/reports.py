@@ -3,9 +3,9 @@
 Shares are fractions of 1 rounded to five decimals; undefined scores are null.
 
 A network learns how many pixels a metre of a body has. The limits follow from the sweeps `nearer`, `farther` and `rig`
-of `bodyseg stability` (docs/results/stability_networks.json): networks of short trainings lose 0 to 2 points of
-accuracy where images have 0.8 to 1.25 times as many pixels a metre, 8 to 29 at 0.7 and 1.4, 20 to 34 at 0.6 and 1.7, 59
-to 65 at half; the one that ships 0 to 1, 2 to 7, 6 and 38.
+of `bodyseg stability` (docs/results/stability.json): networks of short trainings lose 0 to 3 points of accuracy where
+images have 0.8 to 1.25 times as many pixels a metre, 1 to 15 at 0.7 and 1.4, 7 to 17 at 0.6 and 1.7, 37 to 57 at half;
+`box`, which was trained longer, 0 to 1, 2 to 5, 4 and 27.
 """
 
 import math

@@ -123,7 +123,7 @@ def coarse_comparisons(
 ) -> NDArray[np.uint16]:
     """An image, uint16 [Hp, Wp], that gives rules which only compare texels with points' ranges the same answers: each
     texel is empty if it may be, else the multiple of the largest power of two on the same side of all points. As
-    `packing/coarsening.py` does it for the default's rule; arguments as in `shading_texels`.
+    `packing/occluders.py` does it for the default's rule; arguments as in `shading_texels`.
     """
     frame = framed(image).astype(np.int32)
     limits = np.ceil(np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias).astype(np.int32)
