@@ -1,5 +1,5 @@
-"""Pixels of a sensor with shifted fringes: the range that each measures of a surface, and a body's look to it: the
-formulas of `phase_shift`, written once.
+"""The formulas of `phase_shift`, written once: the range that a pixel of a sensor with shifted fringes measures, and
+cloth and motion of a body.
 
 NumPy applies `decode` to arrays, and `phase_loops` compiles it for one pixel. So it takes and makes float32 alone, and
 every constant in it is one.
@@ -35,8 +35,8 @@ _ARCTAN: Final = tuple(map(np.float32, (0.15915006, -0.05278817, 0.02946005, -0.
 class Optics(NamedTuple):
     """Quantities that all pixels of an image share, float32.
 
-    A camera's ray (x, y, 1) times the range z meets the projector's fringe (z a + b) / (z c + d), of which a and c are
-    the ray's products with those here. light: the projector in the camera's frame, metres. `PhaseShift` has others.
+    The point z (x, y, 1) of a camera's ray is on the projector's fringe (z a + b) / (z c + d), where a and c are the
+    ray's products with `a` and `c`. light: the projector in the camera's frame, metres. Others: see `PhaseShift`.
     """
 
     step_m: Any

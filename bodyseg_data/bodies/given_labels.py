@@ -247,7 +247,7 @@ def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, whe
 
 
 def _having(content: MeshContent, names: Sequence[str]) -> tuple[str, dict[str, NDArray[Any]]]:
-    """Of what the columns have all the names, "faces" or "vertices", and these columns; "" and none if neither has."""
+    """Columns with all of the names, and whether they are of "faces" or "vertices"; "" and none if neither has all."""
     for of, columns in (("faces", content.of_polygons), ("vertices", content.of_vertices)):
         if all(name in columns for name in names):
             return of, {name: np.asarray(columns[name]) for name in names}

@@ -50,7 +50,7 @@ def check_body(vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Flo
 
 
 def _handed(points: dict[str, Floats], pairs: tuple[str, ...], up: Floats, front: Floats) -> float:
-    """How far left x up points to the front, 1, or to the back, -1; left: from the right of each pair to the left."""
+    """Cosine of the angle of left x up to the front: below 0 if mirrored. left: from the right of pairs to the left."""
     left = np.sum([points[f"Lt. {name}"] - points[f"Rt. {name}"] for name in pairs], axis=0)
     lengths = float(np.linalg.norm(left) * np.linalg.norm(up) * np.linalg.norm(front))
     return float(np.cross(left, up) @ front) / max(lengths, 1e-12)
