@@ -8,7 +8,7 @@ import io
 import json
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -31,7 +31,7 @@ from bodyseg_data.renders import read_array
 from bodyseg_data.samples import ReadSplit, split_key
 from bodyseg_data.shards import column_names, open_store
 from bodyseg_model.recordings import find_frames
-from bodyseg_model.segmentation import LABELS, UNDISTORTED
+from bodyseg_model.segmentation import SUMMARY, UNFINISHED, ImageKind
 
 EXAMPLE = "bodyseg export-labels --in labelled --out coco --format coco"
 
@@ -75,16 +75,15 @@ class LabelImage(NamedTuple):
     """Labels of one image, uint8 [H, W], 255 where there is none.
 
     name: of its files; it may name folders. number: from 1, the same in every export. instances: uint16 [H, W], number,
-    from 1, of a pixel's person or thing, 0: not known; None where nothing is counted. crowds: numbers that several
-    share. range: uint16 [H, W], steps of `step_m` metres, 0 = nothing measured; None: not known. sequence: of images
-    that follow each other. time_s: of a frame, seconds. tracks: numbers that instances keep from frame to frame.
+    from 1, of a pixel's person or thing, 0: not known; None where nothing is counted. range: uint16 [H, W], steps of
+    `step_m` metres, 0 = nothing measured; None: not known. sequence: of images that follow each other. time_s: of a
+    frame, seconds. tracks: numbers that instances keep from frame to frame.
     """
 
     name: str
     number: int
     labels: NDArray[np.uint8]
     instances: NDArray[np.uint16] | None
-    crowds: frozenset[int] = frozenset()
     range: NDArray[np.uint16] | None = None
     step_m: float = 1e-3
     sequence: str = ""
@@ -99,7 +98,10 @@ def run(options: Options) -> int:
     if Path.cwd().is_relative_to(options.out.resolve()):
         raise BadConfig(f"--out must not hold the folder in which the command runs, found {options.out}")
     out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
-    old, opened = part_beside(out), _frames if (Path(options.folder) / "summary.json").is_file() else _samples
+    folder = Path(options.folder)
+    if (folder / UNFINISHED).is_file():
+        raise BadConfig(f"`bodyseg segment` has not ended in {folder}: repeat its call")
+    old, opened = part_beside(out), _frames if (folder / SUMMARY).is_file() else _samples
     try:
         held = sorted(each.name for each in out.iterdir() if not each.name.startswith(_APPLES)) if out.exists() else []
         note = read_json(out / _NOTE) if _NOTE in held else {}
@@ -156,7 +158,7 @@ def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Im
                 instances = (labels != BACKGROUND).astype(np.uint16)
             ranges = images.augmentation_of(sample)(sample, images.epoch).range
             of_range = ranges, images.manifest.rig_of(sample).range_step_m, split_key(sample.key)[0]
-            yield LabelImage(sample.key, numbers[sample.key], labels, instances, frozenset(), *of_range)
+            yield LabelImage(sample.key, numbers[sample.key], labels, instances, *of_range)
             progress(index + 1, len(images))
 
     return images.label_map, each()
@@ -168,53 +170,43 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
         raise BadConfig(f"--variant, --split, --where, --labels and --instances are of sets, not of {options.folder}")
     folder = Path(options.folder)
     try:
-        summary = read_json(folder / "summary.json")
-        label_map = label_map_from_json(summary["labels"], f"{folder / 'summary.json'}, labels")
-        boxes = [np.array([body["box"] for body in at["bodies"]], int).reshape(-1, 4) for at in summary["each"]]
-        each = [(str(at["name"]), str(at["path_id"]), own) for at, own in zip(summary["each"], boxes, strict=True)]
+        summary = read_json(folder / SUMMARY)
+        label_map = label_map_from_json(summary["labels"], f"{folder / SUMMARY}, labels")
+        each = [(str(at["name"]), str(at["path_id"])) for at in summary["each"]]
         times = [at.get("time_s") for at in summary["each"]]
         tracks = [{n: b["track"] for n, b in enumerate(at["bodies"], 1) if "track" in b} for at in summary["each"]]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadConfig(f"{folder / 'summary.json'} is none of `bodyseg segment`: {error!r}") from error
+        raise BadConfig(f"{folder / SUMMARY} is none of `bodyseg segment`: {error!r}") from error
     given = find_frames(options.frames, options.topic, summary.get("given_unit_m")) if options.frames else []
     frames = {each.path_id: each for each in given}
 
     def images() -> Images:
-        for number, (name, path_id, boxes) in enumerate(each, 1):
+        for number, (name, path_id) in enumerate(each, 1):
+            if ".." in Path(name).parts:
+                raise BadConfig(f"an image's name must stay in its folder, found {name}")
             of_range: tuple[Any, float, str] = (None, 1e-3, "")
-            labels = read_array(folder / LABELS / f"{name}.png")
+            labels = read_array(folder / ImageKind.LABELS / f"{name}.png")
             if labels.ndim != 2 or labels.dtype != np.uint8:
                 raise BadConfig(f"labels must be uint8 [H, W], found {labels.dtype} {labels.shape}: {name}")
             if len(wrong := labels[(labels >= len(label_map)) & (labels != BACKGROUND)]):
                 raise BadConfig(f"labels must be below {len(label_map)}, or {BACKGROUND}, found {wrong[0]}: {name}")
-            counted = persons(labels, boxes) if label_map.of_bodies else (None, frozenset[int]())
+            instances = read_array(folder / ImageKind.PERSONS / f"{name}.png") if label_map.of_bodies else None
+            if instances is not None and (instances.dtype != np.uint16 or instances.shape != labels.shape):
+                found = f"{instances.dtype} {instances.shape}"
+                raise BadConfig(f"persons must be uint16 {labels.shape}, as their labels, found {found}: {name}")
             if frames:
                 if path_id not in frames:
                     raise BadConfig(f"--frames must be those labelled, where they lay: {name} is not among them")
-                frame, bent = frames[path_id], folder / UNDISTORTED / f"{name}.png"
+                frame, bent = frames[path_id], folder / ImageKind.UNDISTORTED / f"{name}.png"
                 ranges = read_array(bent) if bent.exists() else frame.read()
                 if ranges.shape != labels.shape:
                     raise BadConfig(f"{frame.where}: its labels are of another size, {labels.shape}")
                 of_range = ranges * (ranges < 65535), frame.step_m, str(frame.sequence)  # 65535 is saturated
             of_frame = *of_range, times[number - 1], tracks[number - 1]
-            yield LabelImage(name, number, labels, counted[0], counted[1], *of_frame)
+            yield LabelImage(name, number, labels, instances, *of_frame)
             progress(number, len(each))
 
     return label_map, images()
-
-
-def persons(labels: NDArray[np.uint8], boxes: Iterable[Iterable[int]]) -> tuple[NDArray[np.uint16], frozenset[int]]:
-    """Number, from 1, of each labelled pixel's body, by the bodies' boxes (first row and column, end row and column);
-    and numbers that several share, as they have a labelled pixel in both boxes and are not told apart.
-    """
-    found, crowds = np.zeros(labels.shape, np.uint16), set[int]()
-    for number, (top, left, bottom, right) in enumerate(boxes, 1):
-        part, shown = found[top:bottom, left:right], labels[top:bottom, left:right] != BACKGROUND
-        for met in set(np.unique(part[shown]).tolist()) - {0}:
-            found[found == met] = number
-            crowds = (crowds - {met}) | {number}
-        part[shown] = number
-    return found, frozenset(crowds)
 
 
 def segments(image: LabelImage) -> Iterator[tuple[dict[str, Any], NDArray[np.int64]]]:
@@ -233,8 +225,8 @@ def segments(image: LabelImage) -> Iterator[tuple[dict[str, Any], NDArray[np.int
         first, last = (0, rows - 1) if over else (int(top.min()), int(bottom.max()))
         box = [int(left[0]), first, int(right[-1] - left[0]) + 1, last - first + 1]
         facts = {"id": code, "category_id": code & 255, "area": int(counts[1::2].sum()), "bbox": box}
-        facts |= {"iscrowd": int(code >> 8 in image.crowds), "instance": code >> 8}
-        facts |= {"track_id": image.tracks[code >> 8]} if code >> 8 in image.tracks.keys() - image.crowds else {}
+        facts |= {"iscrowd": 0, "instance": code >> 8}
+        facts |= {"track_id": image.tracks[code >> 8]} if code >> 8 in image.tracks else {}
         yield facts, counts if counts[-1] else counts[:-1]
 
 
@@ -254,10 +246,8 @@ def compressed(counts: NDArray[np.int64]) -> str:
 
 
 def _path(folder: Path, name: str) -> Path:
-    """A path within the export's folder; makes the folders on the way. Raises BadConfig for one that leads out."""
+    """A path within the export's folder; makes the folders on the way."""
     path = folder / name
-    if ".." in path.parts:
-        raise BadConfig(f"an image's name must stay in its folder, found {name}")
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 

@@ -13,7 +13,7 @@ from typing import Final
 from bodyseg_data import load_template
 from bodyseg_data.commands import Progress, option, rate_text
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import TEMPLATE, LabelMap
+from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import rig_names
 from bodyseg_model.recordings import (
@@ -37,14 +37,12 @@ from bodyseg_model.runtimes import (
     quick_precision,
 )
 from bodyseg_model.segmentation import (
-    LABELS,
-    OVERLAY,
     TURNED_HELP,
-    UNDISTORTED,
     Background,
     BackgroundMode,
     FrameLabeller,
     FrameResults,
+    ImageKind,
     LabelledRecording,
     OutputFolder,
     Preview,
@@ -65,7 +63,7 @@ _SHADOW_FRAMES: Final = 8  # number of frames whose shadows tell whether a recor
 @dataclass(frozen=True)
 class Options:
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
-    out: Path = option("folder that gets labels, overlays, preview.gif, legend.png and summary.json")
+    out: Path = option("folder that gets labels, persons, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)
     points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
     run: Path | None = option(RUN_HELP, None, heading="Network")
@@ -150,10 +148,15 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         skip_unreadable=options.skip_unreadable,
     )
     cameras = recording.cameras
-    images = [LABELS, *([] if options.no_overlay else [OVERLAY]), *([UNDISTORTED] if cameras.bent else [])]
-    images += [TEMPLATE] if options.dense else []
+    written = {
+        ImageKind.LABELS: True,
+        ImageKind.PERSONS: labeller.label_map.of_bodies,
+        ImageKind.OVERLAY: not options.no_overlay,
+        ImageKind.UNDISTORTED: cameras.bent,
+        ImageKind.TEMPLATE: options.dense,
+    }
     shape = cameras.first.camera.rows, cameras.first.camera.columns
-    out = OutputFolder(options.out, options.frames, frames, images)
+    out = OutputFolder(options.out, options.frames, frames, [kind for kind, wanted in written.items() if wanted])
     results = FrameResults(out, labeller.label_map, preview, shape)
     shadows = ShadowFrames(len(frames), _SHADOW_FRAMES)
     with _labels_out(options, labeller.label_map) as messages:

@@ -35,6 +35,7 @@ CENTRE_HELP: Final = "with --focal: principal point, x y, pixels (default: the i
 UNITS_HELP: Final = "length of one step of a pixel's value: mm, 0.1mm, cm ... (default: the recording's, or mm)"
 """Help of options of the camera; `metres_a_step` reads the text of `--units`."""
 
+_PAUSE_S: Final = 1.0  # longest between two files of one recording
 _LARGEST_FILE: Final = 1 << 28
 _UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")
 _METRES: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -55,16 +56,19 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
     single = [found[0] for is_folder, found in opened if not is_folder and found[0].member is None]
     single.sort(key=lambda frame: (natural_key(str(frame.path.parent)), natural_key(frame.name)))
     several = (found for is_folder, found in opened if is_folder or found[0].member is not None)
-    frames = [(number, frame) for number, group in enumerate((single, *several)) for frame in group]
-    names = result_names([frame for _, frame in frames])
-    return [replace(frame, name=name, sequence=number) for (number, frame), name in zip(frames, names, strict=True)]
+    frames, begun = single, 1
+    for found in several:
+        frames += [replace(frame, sequence=begun + frame.sequence) for frame in found]
+        begun = frames[-1].sequence + 1
+    return [replace(frame, name=name) for frame, name in zip(frames, result_names(frames), strict=True)]
 
 
 def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> tuple[Frame, ...]:
     """Open a recording, its frames in order: a PNG, a folder of PNGs, or a file or folder of one of `FORMATS`, told by
     content or suffix.
 
-    A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order.
+    A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order; a
+    file whose times do not go on with those of the file before begins another sequence.
     topic: which of several streams of frames; None for the only one. step_m: metres a step, or metres that 1.0 is in
     floating point; None: as the recording says, or else millimetres and metres. Raises BadConfig for a path that cannot
     be read, or holds no frame, and for a step that is not above 0; MissingLibrary.
@@ -133,7 +137,19 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame,
             f"a folder of frames must hold .png files or recordings ({', '.join(SUFFIXES)}), found none in {path}"
         )
     parts.sort(key=lambda part: natural_key(part.name))
-    return tuple(frame for part in parts for frame in open_recording(part, topic, step_m))
+    frames = list[Frame]()
+    for part in parts:
+        opened = open_recording(part, topic, step_m)
+        sequence = frames[-1].sequence if frames else 0
+        if frames and opened[0].member is not None and not _goes_on(frames[-1], opened[0]):
+            sequence += 1
+        frames += [replace(frame, sequence=sequence) for frame in opened]
+    return tuple(frames)
+
+
+def _goes_on(before: Frame, frame: Frame) -> bool:
+    """True if a frame was taken soon after another, as where a recorder begins its next file."""
+    return before.time_s is not None and frame.time_s is not None and 0 <= frame.time_s - before.time_s <= _PAUSE_S
 
 
 def _of_depth(files: list[Path]) -> list[Path]:

@@ -74,8 +74,8 @@ class Frame:
     says where it is in the file, for `path_id`.
     time_s: when it was recorded, seconds, None if that is not stored. camera: stored with the recording, if any.
     step_m: metres a step. float_m: metres that 1.0 is in floating point.
-    sequence: number of the input that it is from; single files are input 0. Frames of other inputs were not taken
-    directly before or after it.
+    sequence: number of the input that it is from, or of the part of a folder of recordings; single files are input 0.
+    Frames of other sequences were not taken directly before or after it.
     """
 
     name: str

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         Turned,
     )
     from bodyseg_model.segmentation.joints import JOINTS
-    from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
+    from bodyseg_model.segmentation.output_folder import SUMMARY, UNFINISHED, FrameResults, ImageKind, OutputFolder
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
     from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter
     from bodyseg_model.segmentation.sequence_summary import STILL_M, SequenceSummary, flicker

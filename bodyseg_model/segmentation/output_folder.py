@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from threading import Semaphore
@@ -34,13 +35,21 @@ LEGEND: Final = "legend.png"
 UNFINISHED: Final = "unfinished.json"
 """Frames of a call that has not ended yet, or was cut short; it goes when `SUMMARY` is written."""
 
-LABELS, OVERLAY, UNDISTORTED, _ = IMAGES = ("labels", "overlay", "undistorted", TEMPLATE)
-"""Folders of images, one a frame."""
-
 _MOST_WAITING: Final = 4  # jobs of `WriteBehind` that are not done, so that slow disks bound memory
 _LEGEND_WIDTH: Final = 900
 
 Job = Callable[[], None]
+
+
+class ImageKind(StrEnum):
+    """What images show, one of each frame, in a folder of the kind's name."""
+
+    LABELS = "labels"
+    PERSONS = "persons"
+    OVERLAY = "overlay"
+    UNDISTORTED = "undistorted"
+    TEMPLATE = TEMPLATE
+
 
 _WRITE: Final = "write"
 
@@ -48,15 +57,13 @@ _WRITE: Final = "write"
 class OutputFolder:
     """The folder of one call's results. Nothing is written before `begin`.
 
-    inputs: the paths of the frames, as given. folders: those of `IMAGES` that the call writes. Raises BadConfig for a
+    inputs: the paths of the frames, as given. kinds: images that the call writes. Raises BadConfig for a
     folder that holds frames or lies among them, or that holds anything but an earlier call's results, or results of
     frames that are not among `frames`: these would be lost, or mixed with others.
     """
 
-    def __init__(
-        self, path: Path, inputs: Sequence[Path], frames: Sequence[Frame], folders: Sequence[str] = IMAGES[:2]
-    ) -> None:
-        self.path, self.folders = path, tuple(folders)
+    def __init__(self, path: Path, inputs: Sequence[Path], frames: Sequence[Frame], kinds: Sequence[ImageKind]) -> None:
+        self.path, self.kinds = path, tuple(kinds)
         self._frames: list[dict[str, Any]] = [
             {"name": frame.name, "file": frame.where, "path_id": frame.path_id}
             | ({} if frame.time_s is None else {"time_s": frame.time_s})
@@ -101,7 +108,7 @@ class OutputFolder:
         Raises BadConfig.
         """
         with reported(f"cannot write {self.path}", BadConfig, OSError):
-            kept = {self.image(folder, frame["name"]) for folder in self.folders for frame in self._frames}
+            kept = {self.image(kind, frame["name"]) for kind in self.kinds for frame in self._frames}
             self.path.mkdir(parents=True, exist_ok=True)
             write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})  # first: says whose all is
             stale = {image for frame in self._earlier for image in self._images(frame["name"])} - kept
@@ -119,11 +126,11 @@ class OutputFolder:
 
     def _images(self, name: str) -> set[Path]:
         """Paths of all images that a call may have written of a frame."""
-        return {self.image(folder, name) for folder in IMAGES}
+        return {self.image(kind, name) for kind in ImageKind}
 
-    def image(self, folder: str, name: str) -> Path:
-        """Path of a frame's image in one of `IMAGES`."""
-        return self.path / folder / f"{name}.png"
+    def image(self, kind: ImageKind, name: str) -> Path:
+        """Path of a frame's image."""
+        return self.path / kind / f"{name}.png"
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the summary once the disk holds all images: `each` has an entry for every frame, in order, but those of
@@ -133,7 +140,7 @@ class OutputFolder:
         frames = [frame for frame in self._frames if frame["name"] not in skipped]
         each = [{**frame, **entry} for frame, entry in zip(frames, summary["each"], strict=True)]
         with reported(f"cannot write {self.path}", BadConfig, OSError):
-            images = [self.image(folder, frame["name"]) for folder in self.folders for frame in frames]
+            images = [self.image(kind, frame["name"]) for kind in self.kinds for frame in frames]
             for path in (*images, *dict.fromkeys(image.parent for image in images)):
                 sync(path)
             write_json(self.path / SUMMARY, {"format": FORMAT, **summary, "each": each})
@@ -142,7 +149,7 @@ class OutputFolder:
 
 def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
     """Name and file of every frame of an earlier call, from its summary or, if it was cut short, from `UNFINISHED`."""
-    strange = [name for name in held if name not in (SUMMARY, UNFINISHED, PREVIEW, LEGEND, *IMAGES)]
+    strange = [name for name in held if name not in (SUMMARY, UNFINISHED, PREVIEW, LEGEND, *ImageKind)]
     notes = [name for name in (UNFINISHED, SUMMARY) if name in held]
     if strange or not notes:
         raise BadConfig(
@@ -235,19 +242,22 @@ class FrameResults(WriteBehind):
     def _write(self, labelled: LabelledFrame, frame: Frame, done: Job) -> None:
         watch = Stopwatch((_WRITE,))
         with watch(_WRITE):
-            images: dict[str, NDArray[Any]] = {LABELS: labelled.labels}
+            images: dict[ImageKind, NDArray[Any]] = {ImageKind.LABELS: labelled.labels}
+            if ImageKind.PERSONS in self._out.kinds:
+                images[ImageKind.PERSONS] = labelled.persons
             if self._preview is not None:
                 bodies = [body.pixels for body in labelled.bodies]
-                overlay = images[OVERLAY] = draw_overlay(labelled.range_m, labelled.labels, bodies, self._label_map)
+                overlay = draw_overlay(labelled.range_m, labelled.labels, bodies, self._label_map)
+                images[ImageKind.OVERLAY] = overlay
                 if overlay.shape[:2] == self._shape:
                     self._preview.add(overlay)  # all frames of an animation have one size
-            if UNDISTORTED in self._out.folders and labelled.stored is not None:
-                images[UNDISTORTED] = labelled.stored
-            if TEMPLATE in self._out.folders:
-                images[TEMPLATE] = labelled.template
+            if ImageKind.UNDISTORTED in self._out.kinds and labelled.stored is not None:
+                images[ImageKind.UNDISTORTED] = labelled.stored
+            if ImageKind.TEMPLATE in self._out.kinds:
+                images[ImageKind.TEMPLATE] = labelled.template
             # Flushed at the end: to wait for a slow disk four times a frame would take more than real time.
-            for folder, image in images.items():
-                write_result(self._out.image(folder, frame.name), encode_picture(image), flushed=False)
+            for kind, image in images.items():
+                write_result(self._out.image(kind, frame.name), encode_picture(image), flushed=False)
         times = {**labelled.milliseconds, **watch.milliseconds}
         camera = None if labelled.own_camera is None else labelled.own_camera.to_json()
         self.summary.add(labelled, times, frame.sequence, camera)

@@ -19,7 +19,7 @@ from bodyseg_data import ColumnWriter, RangeImages, ShardWriter
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelClass, load_label_map
 from bodyseg_model.commands import cli, segment
-from bodyseg_model.commands.export_labels import DENSE_POSE, LabelImage, compressed, persons, segments
+from bodyseg_model.commands.export_labels import DENSE_POSE, LabelImage, compressed, segments
 from bodyseg_model.networks import Trained
 from bodyseg_model.runtimes import backends
 
@@ -251,6 +251,19 @@ def test_a_folder_of_segment_is_exported_with_its_people(labelled: tuple[Path, P
     assert not (out / "annotations.json").exists(), "the earlier export is gone"
 
 
+def test_people_whose_boxes_overlap_are_told_apart(labelled: tuple[Path, Path], tmp_path: Path) -> None:
+    bent = standing((5, 5, 8, 60), (5, 5, 50, 10), (30, 40, 25, 12))
+    np.save(tmp_path / "a.npy", bent)
+    words = ["segment", str(tmp_path / "a.npy"), "--focal", "100", "--out", str(tmp_path / "b"), "--keep-things"]
+    assert cli.main(words) == 0
+    shown = pixels(tmp_path / "b" / "persons" / "a.png")
+    np.testing.assert_array_equal(shown, np.select([bent == 2005, bent == 2040], [1, 2]))
+    found = tree(export(tmp_path / "coco", tmp_path / "b", "coco") / "annotations.json")["annotations"]
+    for number, pixels_of in ((1, 60 * 8 + 42 * 10), (2, 25 * 12)):
+        assert sum(each["area"] for each in found if each["instance"] == number) == pixels_of
+    assert not any(each["iscrowd"] for each in found)
+
+
 def test_times_of_frames_and_numbers_of_people_in_a_video_are_exported(
     labelled: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -279,17 +292,6 @@ def test_ranges_are_exported_in_the_units_that_were_given_to_segment(
     np.testing.assert_allclose(pixels(out / "range" / "a.png") * step_m, stack / scale / 1000, atol=2e-4)
 
 
-def test_people_whose_boxes_share_pixels_are_a_crowd() -> None:
-    labels = np.full((10, 20), BACKGROUND, np.uint8)
-    labels[2:8, 1:5] = labels[4, 5:9] = labels[0:3, 12:15] = 3
-    found, crowds = persons(labels, [(2, 1, 8, 9), (4, 4, 5, 9), (0, 12, 3, 15)])
-    assert crowds == {2} and set(np.unique(found)) == {0, 2, 3}
-    assert (found[labels != BACKGROUND] > 0).all() and not found[labels == BACKGROUND].any()
-    (facts, _), (other, _) = segments(LabelImage("a", 1, labels, found, crowds, tracks={1: 7, 2: 8, 3: 9}))
-    assert (facts["iscrowd"], other["iscrowd"]) == (1, 0)
-    assert "track_id" not in facts and other["track_id"] == 9, "a crowd is nobody's"
-
-
 def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
     assert cli.main(["export-labels", *map(str, words)]) == 2
     lines = capsys.readouterr().err.splitlines()
@@ -310,6 +312,9 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert f"--out must be a new folder, or one of an earlier export: {frames} holds 1.png" in refused(
         capsys, *words[:5], frames
     )
+    Image.fromarray(np.zeros((60, 81), np.uint16)).save(folder / "persons" / "2.png")
+    said = refused(capsys, *words[:2], "--format", "coco", "--out", out)
+    assert said == "persons must be uint16 (60, 80), as their labels, found uint16 (60, 81): 2"
     Image.fromarray(np.full((60, 80), 33, np.uint8)).save(folder / "labels" / "2.png")
     said = refused(capsys, *words[:2], "--format", "coco", "--out", out)
     assert said == "labels must be below 33, or 255, found 33: 2"
@@ -322,15 +327,16 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     summary["each"][0] |= {"name": "1", "path_id": []}
     (folder / "summary.json").write_text(json.dumps(summary))
     assert "must be those labelled, where they lay: 1 is not" in refused(capsys, *words, "--frames", frames)
-    for box, error in (([1, 2], "ValueError"), ([0, 0, 1, 1 << 70], "OverflowError")):
-        summary["each"][0]["bodies"] = [{"box": box}]
-        (folder / "summary.json").write_text(json.dumps(summary))
-        assert f"summary.json is none of `bodyseg segment`: {error}(" in refused(capsys, *words)
+    summary["each"][0]["bodies"] = [1]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    assert "summary.json is none of `bodyseg segment`: TypeError(" in refused(capsys, *words)
     summary["labels"] = []
     (folder / "summary.json").write_text(json.dumps(summary))
     assert "summary.json, labels: labels must be an object, found list" in refused(capsys, *words)
     (folder / "summary.json").write_text("{}")
     assert "summary.json is none of `bodyseg segment`: KeyError('labels')" in refused(capsys, *words)
+    (folder / "summary.json").rename(folder / "unfinished.json")
+    assert "`bodyseg segment` has not ended in" in refused(capsys, *words)
     assert not out.exists() and not list(tmp_path.glob(".*"))
 
 

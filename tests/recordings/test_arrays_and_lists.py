@@ -166,6 +166,16 @@ def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
     assert "found a TIFF" in refusal(path, "a")
 
 
+def test_recordings_in_a_folder_go_on_where_their_times_do(tmp_path: Path) -> None:
+    for name, times in {"1": [0.0, 0.1], "2": [0.2, 1.0], "3": [2.1, 2.2], "4": [2.0, 2.5], "5": None}.items():
+        np.savez(tmp_path / f"{name}.npz", depth=STACK[:2], **({} if times is None else {"timestamps": times}))
+    np.save(tmp_path / "6.npy", STACK[:2])
+    assert [frame.sequence for frame in open_recording(tmp_path)] == [0, 0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    np.save(tmp_path.parent / "other.npy", STACK[:2])
+    found = find_frames([tmp_path, tmp_path.parent / "other.npy"])
+    assert [frame.sequence for frame in found] == [1, 1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
+
+
 def test_a_folder_of_recordings_is_one(tmp_path: Path) -> None:
     for number in (10, 9):
         np.save(tmp_path / f"f{number}.npy", STACK[number - 9])

@@ -16,7 +16,9 @@ from bodyseg_data.files import part_beside, write_result
 from bodyseg_model.commands import main
 from bodyseg_model.recordings import find_frames
 from bodyseg_model.segmentation import OutputFolder
-from bodyseg_model.segmentation.output_folder import IMAGES
+from bodyseg_model.segmentation.output_folder import ImageKind
+
+USUAL = ImageKind.LABELS, ImageKind.OVERLAY
 
 
 @pytest.fixture
@@ -31,26 +33,26 @@ def recorded(folder: Path, *names: str) -> Path:
     return folder
 
 
-def opened(out: Path, *inputs: Path, folders: tuple[str, ...] = IMAGES[:2]) -> OutputFolder:
-    return OutputFolder(out, inputs, find_frames(inputs), folders)
+def opened(out: Path, *inputs: Path, kinds: tuple[ImageKind, ...] = USUAL) -> OutputFolder:
+    return OutputFolder(out, inputs, find_frames(inputs), kinds)
 
 
-def filled(out: Path, *inputs: Path, folders: tuple[str, ...] = IMAGES[:2], done: bool = True) -> None:
+def filled(out: Path, *inputs: Path, kinds: tuple[ImageKind, ...] = USUAL, done: bool = True) -> None:
     """Results as the command leaves them, or as a call that ends after its first frame does."""
-    place = opened(out, *inputs, folders=folders)
+    place = opened(out, *inputs, kinds=kinds)
     place.begin()
     frames = find_frames(inputs)
     for frame in frames if done else frames[:1]:
-        for folder in folders:
-            place.image(folder, frame.name).write_text(frame.where)
+        for kind in kinds:
+            place.image(kind, frame.name).write_text(frame.where)
     if done:
         place.finish({"each": [{"name": frame.name, "file": frame.where} for frame in frames]})
 
 
 def write_images(place: OutputFolder) -> None:
-    for folder in place.folders:
+    for kind in place.kinds:
         for name in ("1", "2"):
-            write_result(place.image(folder, name), f"{folder} {name}".encode(), flushed=False)
+            write_result(place.image(kind, name), f"{kind} {name}".encode(), flushed=False)
 
 
 def files(out: Path) -> list[str]:
@@ -99,7 +101,7 @@ def test_two_calls_at_once_do_not_mix(recording: Path, tmp_path: Path, capsys: p
 
 def test_results_of_the_same_frames_are_replaced(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    filled(out, recording, folders=IMAGES)
+    filled(out, recording, kinds=tuple(ImageKind))
     place = opened(out, recording)
     place.begin()
     left = ["labels/1.png", "labels/2.png", "overlay/1.png", "overlay/2.png", "unfinished.json"]
@@ -107,7 +109,7 @@ def test_results_of_the_same_frames_are_replaced(recording: Path, tmp_path: Path
     place.finish({"each": [{}, {}]})
     (out / "overlay" / "mine.txt").touch()
     part_beside(out / "overlay" / "1.png").touch()  # as a killed call leaves it
-    opened(out, recording, folders=IMAGES[:1]).begin()
+    opened(out, recording, kinds=USUAL[:1]).begin()
     assert files(out) == ["labels/1.png", "labels/2.png", "overlay/mine.txt", "unfinished.json"]
     assert {path.name for path in out.iterdir() if path.is_dir()} == {"labels", "overlay"}, "no empty folder is left"
 
@@ -131,7 +133,7 @@ def test_more_frames_may_come_and_names_may_change(recording: Path, tmp_path: Pa
     out, other = tmp_path / "out", recorded(tmp_path / "other", "2")
     filled(out, recording)
     filled(out, recording, other)
-    images = [f"{folder}/{name}.png" for folder in IMAGES[:2] for name in ("other/2", "recording/1", "recording/2")]
+    images = [f"{folder}/{name}.png" for folder in USUAL for name in ("other/2", "recording/1", "recording/2")]
     assert files(out) == [*images, "summary.json"]
 
 
@@ -264,10 +266,10 @@ def test_the_summary_is_written_after_the_disk_holds_all_images(
     write_images(place)
     assert not flushed, "nobody waits for the disk at every frame"
     place.finish({"each": [{"name": name} for name in ("1", "2")]})
-    images = {out / folder / f"{name}.png" for folder in IMAGES[:2] for name in ("1", "2")}
+    images = {out / folder / f"{name}.png" for folder in USUAL for name in ("1", "2")}
     before = next(at for at, path in enumerate(flushed) if path.name.startswith(".summary.json."))
     assert images | {path.parent for path in images} <= set(flushed[:before])
-    assert {path.read_text() for path in images} == {f"{folder} {name}" for folder in IMAGES[:2] for name in ("1", "2")}
+    assert {path.read_text() for path in images} == {f"{folder} {name}" for folder in USUAL for name in ("1", "2")}
 
 
 def test_an_image_that_vanished_leaves_no_summary(recording: Path, tmp_path: Path) -> None:

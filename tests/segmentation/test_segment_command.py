@@ -124,6 +124,7 @@ def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest
     names = [str(number) for number in range(7, 12)]
     assert written == {
         *(f"labels/{name}.png" for name in names),
+        *(f"persons/{name}.png" for name in names),
         *(f"overlay/{name}.png" for name in names),
         "legend.png",
         "preview.gif",
@@ -452,6 +453,7 @@ def test_without_overlays_labels_and_summary_are_left(recording: Path, tmp_path:
     assert {path.name: pixels(path).tolist() for path in (out / "labels").iterdir()} == labels and len(labels) == 5
     assert {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()} == {
         *(f"labels/{name}" for name in labels),
+        *(f"persons/{name}" for name in labels),
         "summary.json",
     }
     assert report(out)["frames_per_second"] > 0
