@@ -23,7 +23,7 @@ from bodyseg_data.artifacts import (
     sensor_for,
 )
 from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_choice, check_int, silent
-from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
 from bodyseg_data.samples import ReadSplit, metres
 from bodyseg_model.evaluation.gross_errors import MEASURABLE, GrossErrors, TrueSurface
@@ -204,8 +204,8 @@ def evaluate(
     strengths of artifacts are compared on the same bodies; None, or more than there are, takes all.
     confidences: whether they and, with SciPy and images without transforms, gross errors are counted beside the
     confusion matrix. batch_size: images that go through the network together. num_workers, worker_method: see `loader`.
-    label_map: the classes that the network predicts, by default those of the images' labels; where the images have
-    coarser classes, each predicted label counts as the class that it is part of, with its own confidence.
+    label_map: the classes that the network predicts, by default those of the images' labels, or the 33 parts for a
+    network of 33; where the images have coarser classes, each predicted label counts as the class that it is part of.
     progress: called with images done and images in all. watch: with every image and its average per-class accuracy.
 
     Raises BadConfig for an invalid count, another number of classes than the network's, classes that cannot be joined
@@ -215,8 +215,10 @@ def evaluate(
         raise BadConfig(f"images must be RangeImages, each set of a mixture by itself, found {type(images).__name__}")
     total = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
     found = Evaluation(confidences, label_map=images.label_map)
-    predicts = images.label_map if label_map is None else label_map
     check_network(network)
+    predicts = label_map or images.label_map
+    if label_map is None and network.classes == PART_COUNT != len(predicts):
+        predicts = PARTS33
     check_label_map(network, predicts)
     joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
     device = device_of(network)
