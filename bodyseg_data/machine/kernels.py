@@ -108,8 +108,12 @@ class _Kept:
 
     @cached_property
     def files(self) -> tuple[Any, Path] | None:
-        """The cache of numba and its folder; None if none can be written to."""
-        numba, caching = import_module("numba"), import_module("numba.core.caching")
+        """The cache of numba and its folder; None if none can be written to, or this numba has another cache."""
+        numba = import_module("numba")
+        try:
+            cache = import_module("numba.core.caching").FunctionCache
+        except (ImportError, AttributeError):
+            return None
         with _one_at_a_time:  # numba asks for the folder once, here
             before = numba.config.CACHE_DIR
             folder = _folder(before, _digest(self._loops, numba))
@@ -117,7 +121,7 @@ class _Kept:
                 return None
             numba.config.CACHE_DIR = str(folder)
             try:
-                return caching.FunctionCache(self._loops), folder
+                return cache(self._loops), folder
             finally:
                 numba.config.CACHE_DIR = before
 
@@ -156,11 +160,15 @@ class _Kept:
 
     def kept(self, signature: Any, context: Any) -> Any:
         """Machine code that is on disk, or None. Files that a power cut has cut short are removed."""
-        # Else numba would first load all that its compiler knows of Python, NumPy and SciPy, for half a second.
-        import_module("numba.core.runtime").rtsys.initialize(context)
         if self.files is not None:
+            cache = self.files[0]
+            load = cache.load_overload
+            with contextlib.suppress(ImportError, AttributeError):  # names of numba's own, which may change
+                # `load_overload` first loads all that its compiler knows of Python, NumPy and SciPy, for half a second.
+                import_module("numba.core.runtime").rtsys.initialize(context)
+                load = cache._load_overload
             try:
-                return self.files[0]._load_overload(signature, context)
+                return load(signature, context)
             except (EOFError, pickle.UnpicklingError):
                 for file in self.files[1].rglob("*.nb?"):
                     file.unlink(missing_ok=True)
