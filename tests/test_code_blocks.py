@@ -14,9 +14,9 @@ from typing import Any, Final
 import pytest
 from benches.__main__ import ALL
 from benches.__main__ import COMMANDS as BENCH_COMMANDS
-from benches.model.tutorial import read_tutorial, smaller
 from folders import DOCS, PAGES, ROOT
 from people_on_disk import write_by_vertex, write_mesh
+from tutorials import read_tutorial, smaller
 
 from bodyseg_data.artifacts import load_sensor_model
 from bodyseg_data.commands.cli import load_command

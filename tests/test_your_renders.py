@@ -15,10 +15,10 @@ from typing import Final
 
 import numpy as np
 import pytest
-from benches.model.tutorial import smaller
 from folders import DOCS
 from pngs import pixels
 from seen import skip_without_opengl
+from tutorials import smaller
 
 from bodyseg_data import RangeImages
 from bodyseg_data.labels import BACKGROUND

@@ -99,7 +99,6 @@ BENCHES: Final = {
     ),
     "joints": Bench("model.people.joints", None, "bodies to fit to, 240", required=("data",), optional=("runs",)),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
-    "tutorial": Bench("model.tutorial", None, "frames of the recording, 20"),
     "architectures": Bench(
         "model.networks.architectures",
         None,

@@ -1,33 +1,26 @@
-"""`bench tutorial`: the commands of docs/tutorials/your_camera.md, on a simulated recording: times, scores.
-
-The commands and files are read from the document, so that what is measured and tested is what a reader types.
+"""The commands and files of a tutorial, read from the document, so that what is tested is what a reader types; and a
+simulated recording for docs/tutorials/your_camera.md.
 """
 
 from __future__ import annotations
 
 import io
-import json
 import re
 import shlex
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from benches.model.sensor_fit.recordings import Scene, Scenes
+from folders import DOCS
 from PIL import Image
 
-from benches.environment import child_environment
-from benches.model.sensor_fit.recordings import Scene, Scenes
 from bodyseg_data.artifacts import load_sensor_model
 from bodyseg_data.bodies import open_source
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_data.rigs import load_rig
 
-DOCUMENT: Final = Path(__file__).parents[3] / "docs" / "tutorials" / "your_camera.md"
+DOCUMENT: Final = DOCS / "tutorials" / "your_camera.md"
 
 SENSOR: Final = "realsense_d435"
 """The sensor that the simulated recording is made with."""
@@ -91,39 +84,3 @@ def prepare(folder: Path, tutorial: Tutorial, frames: int) -> None:
     for name, text in tutorial.files.items():
         (folder / name).write_text(text)
     record(folder / "recording", folder / _RIG_FILE, frames)
-
-
-def run_as_typed(words: Sequence[str], folder: Path) -> float:
-    """Run `bodyseg WORDS` in a folder and return its seconds. Raises BadConfig, with its last line, if it fails."""
-    command = [sys.executable, "-m", "bodyseg_model", *words]
-    start = time.perf_counter()
-    done = subprocess.run(command, cwd=folder, env=child_environment(), capture_output=True, text=True)
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise BadConfig(f"`bodyseg {' '.join(words)}` ended with status {done.returncode}: {last}")
-    return time.perf_counter() - start
-
-
-def bench_tutorial(views: int = 20, progress: ProgressCallback = silent) -> dict[str, Any]:
-    """Run the tutorial at its own size; views: frames of the recording. Raises BadConfig."""
-    check_int("--views", views, 2)
-    with tempfile.TemporaryDirectory() as home:
-        return followed(read_tutorial(), Path(home), views, progress)
-
-
-def followed(tutorial: Tutorial, folder: Path, frames: int, progress: ProgressCallback = silent) -> dict[str, Any]:
-    """Follow a tutorial in a folder, with a recording of so many frames: seconds of its commands, what they end in."""
-    prepare(folder, tutorial, frames)
-    seconds = []
-    for number, words in enumerate(tutorial.commands):
-        seconds.append({"command": " ".join(words), "seconds": round(run_as_typed(words, folder), 1)})
-        progress(number + 1, len(tutorial.commands))
-    scores = json.loads((folder / "scores.json").read_text())
-    summary = json.loads((folder / "labelled" / "summary.json").read_text())
-    return {
-        "sensor": SENSOR,
-        "frames": frames,
-        "commands": seconds,
-        "average_per_class_accuracy": scores["average_per_class_accuracy"],
-        "frames_with_one_person": sum(len(frame["bodies"]) == 1 for frame in summary["each"]),
-    }
