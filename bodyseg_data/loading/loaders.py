@@ -147,13 +147,6 @@ class Loader:
         """Samples left out so far, in the order of their batches."""
         return self._ledger.skipped
 
-    def worker_peaks_mb(self) -> list[float | None]:
-        """The most memory that each worker process has had so far, MB; None where the system does not tell.
-
-        Empty while no workers run, and for threads, which belong to this process.
-        """
-        return [] if self._state is None else self._state.workers.peaks_mb()
-
     def stats(self) -> dict[str, float]:
         """Times and counts so far, name -> number, of all workers and passes together; at any time, from any thread.
 

@@ -27,7 +27,6 @@ from typing import Any, Final, Literal, Protocol
 import torch
 
 from bodyseg_data.core import BadConfig, BodysegError
-from bodyseg_data.machine import peak_mb
 
 
 class WorkerLost(BodysegError):
@@ -64,10 +63,6 @@ class Workers(Protocol):
     def discard(self) -> None:
         """Remove the oldest request, waiting for its result if it may have begun. Raises as `result`."""
         self.result()
-
-    def peaks_mb(self) -> list[float | None]:
-        """The most memory that each worker process has had, MB, as `peak_mb`; none for workers in this process."""
-        return []
 
     def close(self) -> None:
         """End the workers and remove all requests."""
@@ -243,9 +238,6 @@ class ProcessWorkers(Workers):
             self._received += 1
             return checked_result(found, self._name(worker))
         raise self._lost(worker)
-
-    def peaks_mb(self) -> list[float | None]:
-        return [peak_mb(process.pid) for process in self._processes]
 
     def _name(self, worker: int) -> str:
         return f"worker {worker} of {len(self._pipes)} (process {self._processes[worker].pid})"

@@ -77,17 +77,11 @@ def keep_freed_memory() -> None:
             mallopt(number, value)
 
 
-def peak_mb(process: int | None = None) -> float | None:
-    """Return the most memory that a process has had resident at once, in MB (1 000 000 bytes).
-
-    process: number of another process of this machine, None for this one. None is returned where the system does not
-    tell: for a process that has ended, and other processes on systems without /proc.
-    """
-    for line in _lines(f"/proc/{'self' if process is None else process}/status"):
+def peak_mb() -> float:
+    """Return the most memory that this process has had resident at once, in MB (1 000 000 bytes)."""
+    for line in _lines("/proc/self/status"):
         if line.startswith("VmHWM:"):  # KiB
             return round(int(line.split()[1]) * 1024 / 1e6, 1)
-    if process is not None:
-        return None
     # Bytes on macOS, KiB elsewhere. On Linux a process inherits its parent's, so /proc comes first.
     unit = 1 if sys.platform == "darwin" else 1024
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6, 1)

@@ -107,7 +107,7 @@ def run(options: Options) -> int:
             **scores,
             "milliseconds_per_frame": times,
             "seconds": seconds,
-            "peak_mb": {"process": peak_mb(), "workers": found.worker_peaks_mb},
+            "peak_mb": peak_mb(),
         },
     )
     written = [options.json]

@@ -110,8 +110,7 @@ class Evaluation:
     subsets: the paper's A, B, C and people, those that a source names, or "all" where none is named. confidences: as of
     `Scores`. label_map: the classes that are scored. worst: average per-class accuracy and key of the ten images of
     lowest accuracy, the lowest first. milliseconds: time of the network, of scores, and of waiting for images to be
-    loaded. worker_peaks_mb: the most memory of each worker process that loaded images, MB; see
-    `Loader.worker_peaks_mb`.
+    loaded.
     """
 
     confidences: bool = field(default=True, repr=False)
@@ -119,7 +118,6 @@ class Evaluation:
     milliseconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_STAGES, 0.0), repr=False)
     worst: list[tuple[float, str]] = field(default_factory=list, repr=False)
     label_map: LabelMap = field(default=PARTS33, repr=False)
-    worker_peaks_mb: list[float | None] = field(default_factory=list, repr=False)
 
     def total(self, subsets: Collection[str] | None = None) -> Scores:
         """Sum the scores of all subsets, or of those named. Raises BadConfig for a subset without images."""
@@ -142,7 +140,6 @@ class Evaluation:
         for stage, milliseconds in other.milliseconds.items():
             self.milliseconds[stage] += milliseconds
         self.worst = sorted([*self.worst, *other.worst])[:_WORST]
-        self.worker_peaks_mb += other.worker_peaks_mb
 
 
 def open_images(
@@ -226,10 +223,9 @@ def evaluate(
     stage = Stopwatch(_STAGES)
     found.milliseconds = stage.milliseconds
     # One process evaluates, also under torchrun. For every split the order is that of the images' epoch.
-    data_loader = loader(
-        images, batch_size, num_workers, shuffle=True, rank=0, world_size=1, worker_method=worker_method
+    batches = iter(
+        loader(images, batch_size, num_workers, shuffle=True, rank=0, world_size=1, worker_method=worker_method)
     )
-    batches = iter(data_loader)
     for done in range(0, total, batch_size):
         with stage("loading"):
             batch = next(batches)
@@ -249,7 +245,6 @@ def evaluate(
                 if watch is not None:
                     watch(image, accuracy)
         progress(done + len(keys), total)
-    found.worker_peaks_mb = data_loader.worker_peaks_mb()
     return found
 
 

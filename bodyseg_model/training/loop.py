@@ -247,8 +247,7 @@ class Training:
         if self.processes.first:
             if validation is not None:
                 metrics = self._validated(metrics, validation, facts)
-            peaks = {"process": peak_mb(), "workers": data_loader.worker_peaks_mb()}
-            self.folder.log({**metrics.to_json(), "peak_mb": peaks})
+            self.folder.log({**metrics.to_json(), "peak_mb": peak_mb()})
             report(metrics)
         return MetricsWindow(self.processes, self.network.classes)
 

@@ -154,6 +154,4 @@ def test_evaluate_tells_refuses_and_goes_on(
     )
     tree = json.loads((tmp_path / "x.json").read_text())
     assert tree["data"][0]["pixels_a_metre_of_trained"] == 4
-    assert tree["peak_mb"]["process"] > 50, "this process alone takes more"
-    (worker,) = tree["peak_mb"]["workers"]
-    assert worker > 50
+    assert tree["peak_mb"] > 50, "this process alone takes more"

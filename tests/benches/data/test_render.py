@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -116,17 +114,11 @@ def test_a_figure_is_drawn_without_the_baseline(tmp_path: Path) -> None:
     assert speed.left == pytest.approx(first.left, abs=2) and camera.left > stages[1][0].left
 
 
-def test_packing_is_measured_in_time_and_memory(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_packing_is_measured(tmp_path: Path) -> None:
     for name in ("one", "two"):  # of files, which workers render without loading the body model
         write_mesh(tmp_path / "people" / f"{name}.ply")
     write_by_vertex(tmp_path / "people" / "landmarks.json")
-    other = multiprocessing.get_context("fork").Process(target=signal.pause)  # no worker of this packing
-    other.start()
-    request.addfinalizer(other.join)
-    request.addfinalizer(other.kill)
     packing, out = Packing("folder", tmp_path / "people", views=ViewGrid(count=2)), tmp_path / "shards"
     found = render_packing.measured(packing, out, 1)
     assert (found["samples"], found["splits"], found["workers"]) == (4, {"train": 4, "test": 0}, 1)
     assert found["bytes"] == sum(tar.stat().st_size for tar in out.glob("*.tar"))
-    assert found["peak_mb"]["writer"] > 50, "this process alone takes more"
-    assert [peak > 50 for peak in found["peak_mb"]["workers"]] == [True]
