@@ -192,8 +192,8 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
                 raise BadConfig(f"labels must be below {len(label_map)}, or {BACKGROUND}, found {wrong[0]}: {name}")
             instances = read_array(folder / ImageKind.PERSONS / f"{name}.png") if label_map.of_bodies else None
             if instances is not None and (instances.dtype != np.uint16 or instances.shape != labels.shape):
-                found = f"{instances.dtype} {instances.shape}"
-                raise BadConfig(f"persons must be uint16 {labels.shape}, as their labels, found {found}: {name}")
+                found = f"{instances.dtype} {instances.shape}: {name}"
+                raise BadConfig(f"persons must be uint16 {labels.shape}, as their labels, found {found}")
             if frames:
                 if path_id not in frames:
                     raise BadConfig(f"--frames must be those labelled, where they lay: {name} is not among them")

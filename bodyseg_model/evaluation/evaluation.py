@@ -213,9 +213,8 @@ def evaluate(
     total = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
     found = Evaluation(confidences, label_map=images.label_map)
     check_network(network)
-    predicts = label_map or images.label_map
-    if label_map is None and network.classes == PART_COUNT != len(predicts):
-        predicts = PARTS33
+    own = PARTS33 if network.classes == PART_COUNT != len(images.label_map) else images.label_map
+    predicts = own if label_map is None else label_map
     check_label_map(network, predicts)
     joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
     device = device_of(network)
