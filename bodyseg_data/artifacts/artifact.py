@@ -107,5 +107,5 @@ class Artifact(Protocol):
         image: as the artifacts before this one left it, contiguous. Its range is 0 where pixels are lost; these stay
         lost, and their labels become background afterwards. `image.drawn` holds the quantities of all artifacts.
         draws: gives the same numbers whichever other artifacts there are.
-        Raises BadSample for a scene that lacks what is needed.
+        Raises BadSample for a scene that lacks what is needed; any other error ends the run as a BadConfig.
         """

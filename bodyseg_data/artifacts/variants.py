@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed
+from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed, named
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, Classes
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
@@ -123,7 +123,8 @@ class Augmentation:
         _check_fit(sample, "the image of labels", labels, np.uint8)
         drawn: dict[str, float] = {}
         for artifact in self.applied:
-            drawn.update(artifact.draw(replace(draws, purposes=artifact.purposes)))
+            with named(f"{sample.key}: artifact {artifact.name!r}", BadConfig):
+                drawn.update(artifact.draw(replace(draws, purposes=artifact.purposes)))
         made = RangeImage(sample.key, image, labels, drawn)
         covered, clean = 0, sample
         # Artifacts see the clean sample, even if the result is written into its arrays.
@@ -139,7 +140,8 @@ class Augmentation:
         if covered < len(self.applied):
             scene = Scene(clean, self.rig, self.classes)
             for artifact in self.applied[covered:]:
-                artifact.apply(made, scene, replace(draws, purposes=artifact.purposes))
+                with named(f"{sample.key}: artifact {artifact.name!r}", BadConfig):
+                    artifact.apply(made, scene, replace(draws, purposes=artifact.purposes))
             _unlabel_lost(made)
         return made
 

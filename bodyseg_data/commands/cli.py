@@ -71,6 +71,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         sys.stdout.flush()
         return status
     except BodysegError as error:
+        if os.environ.get("BODYSEG_TRACEBACK") and hasattr(error, "__notes__"):  # of a user's code, or in a worker
+            raise
         return _say(f"{program}{name}", str(error), 2)
     except _Terminated:
         return _say(f"{program}{name}", "terminated", 143)

@@ -5,6 +5,7 @@ status 2; code that uses the library can catch `BodysegError` or one of its subc
 """
 
 import math
+import traceback
 import types
 import typing
 from collections.abc import Iterable, Iterator
@@ -70,6 +71,21 @@ def reported(where: object, raises: type[Exception], *caught: type[Exception]) -
     except kinds as error:
         words = error.strerror if isinstance(error, OSError) and OSError in kinds else None
         raise raises(f"{where}: {words or error}" if where else str(error)) from error
+
+
+@contextmanager
+def named(where: str, raises: type[BodysegError], passes: type[BodysegError] = BodysegError) -> Iterator[None]:
+    """Raise whatever a user's code raises, but errors of the kind `passes`, as `raises`, with `where` before the words
+    and the traceback as a note.
+    """
+    try:
+        yield
+    except passes:
+        raise
+    except Exception as error:
+        failed = raises(f"{where}: {' '.join(f'{type(error).__name__}: {error}'.split())}")
+        failed.add_note("".join(traceback.format_exception(error)))
+        raise failed from error
 
 
 def check_int(name: str, value: Any, least: int) -> int:

@@ -17,7 +17,6 @@ or a function with these two arguments, which has no parameters and leaves image
 from __future__ import annotations
 
 import json
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import Field, asdict, dataclass, replace
 from types import FunctionType
@@ -27,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import RangeImage, box_of
-from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws, reported
+from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws, named, reported
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample, SampleInfo, metres
@@ -210,14 +209,8 @@ def transform_image(
 
 def _called(transform: Transform, image: CameraImage, random: np.random.Generator) -> Any:
     where = f"{image.key}: transform {transform.name!r}"
-    try:
+    with named(where, BadTransform, passes=BadSample), reported(where, BadSample):
         return transform(image, random)
-    except BadSample as error:
-        raise BadSample(f"{where}: {error}") from error
-    except Exception as error:  # whatever the user's code raises
-        failed = BadTransform(f"{where}: {' '.join(f'{type(error).__name__}: {error}'.split())}")
-        failed.add_note("".join(traceback.format_exception(error)))
-        raise failed from error
 
 
 def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, int], unlabelled: int) -> CameraImage:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bodyseg_data import RangeImages, SensorModel, load_sensor_model
+from bodyseg_data import RangeImages, SensorModel, load_sensor_model, loader
 from bodyseg_data.artifacts import (
     Artifact,
     Losses,
@@ -50,6 +50,19 @@ class Rounding(Artifact):
         """As `Artifact.apply`."""
         steps = self.step_mm / 1000 / scene.step_m
         image.range[...] = np.rint(image.range / steps) * steps
+
+
+@dataclass(frozen=True)
+class Faulty(Artifact):
+    """An artifact that fails on some images."""
+
+    name, kind, purposes = "faulty", "noise", ("fault",)
+    share: float = 0.3
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        if draws.chance("fault") < self.share:
+            raise IndexError("two\nlines")
 
 
 def test_the_default_is_the_papers() -> None:
@@ -218,6 +231,29 @@ def test_an_artifact_of_the_users_own_streams_and_is_in_the_identity(figures_set
         assert (made % whole == 0).all() and np.abs(made.astype(int) - before).max() == whole // 2
     with pytest.raises(BadConfig, match="sensor x: an artifact must be one of occlusion, .*, found 'rounding'"):
         parse_sensor_model(sensor.to_toml(), "x")
+
+
+@pytest.mark.parametrize("options", [{}, {"num_workers": 2}, {"on_error": "skip", "skip_budget": 24}])
+def test_an_error_in_an_artifact_names_it_and_the_sample_and_ends_no_loop_in_silence(
+    figures_set: Path, options: dict[str, Any]
+) -> None:
+    images = RangeImages(figures_set, "noise", sensor=SensorModel("mine", (Faulty(),)))
+    first = next(key for key in images.keys if Draws(0, 0, key).chance("fault") < Faulty.share)
+    assert first != images.keys[0]
+    for read in (lambda: [image["key"] for image in images], lambda: list(loader(images, 4, shuffle=False, **options))):
+        with pytest.raises(BadConfig) as caught:
+            read()
+        assert str(caught.value) == f"{first}: artifact 'faulty': IndexError: two lines"
+        assert 'raise IndexError("two\\nlines")' in "".join(caught.value.__notes__), "the traceback is kept"
+
+
+def test_an_error_in_an_artifacts_draw_names_it(figures_set: Path) -> None:
+    class Undrawn(Faulty):
+        def draw(self, draws: Draws) -> dict[str, float]:
+            raise KeyError("sigma")
+
+    with pytest.raises(BadConfig, match=": artifact 'faulty': KeyError: 'sigma'"):
+        RangeImages(figures_set, "noise", sensor=SensorModel("mine", (Undrawn(),)))[0]
 
 
 def test_the_order_is_the_models(figures_set: Path) -> None:

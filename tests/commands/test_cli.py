@@ -25,7 +25,7 @@ import bodyseg_data
 import bodyseg_model
 from bodyseg_data.commands import check_target, cli, option, verify
 from bodyseg_data.commands.options import parse
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, named
 from bodyseg_data.labels import load_label_map
 from bodyseg_model.commands import main
 from bodyseg_model.commands.cli import COMMANDS
@@ -252,6 +252,16 @@ def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
     monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
         main(["verify", "x"])
+
+    def fail_in_code_of_a_user(options: object) -> int:
+        with named("artifact 'mine'", BadConfig):
+            return int(1 / 0)
+
+    monkeypatch.setattr(verify, "run", fail_in_code_of_a_user)
+    with pytest.raises(BadConfig, match="artifact 'mine': ZeroDivisionError: division by zero"):
+        main(["verify", "x"])
+    monkeypatch.delenv("BODYSEG_TRACEBACK")
+    assert main(["verify", "x"]) == 2
 
 
 def test_a_limit_of_threads_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
