@@ -217,8 +217,9 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
     where = f"{image.key}: transform {name!r}"
     if not isinstance(found, CameraImage):
         raise BadTransform(f"{where} must return a CameraImage, found {type(found).__name__}")
-    if found.key != image.key:
-        raise BadTransform(f"{where} must keep the key, found {found.key!r}")
+    for fixed in ("key", "step_m"):
+        if getattr(found, fixed) != getattr(image, fixed):
+            raise BadTransform(f"{where} must keep the {fixed}, found {getattr(found, fixed)!r}")
     if found.planes.keys() != image.planes.keys():
         raise BadTransform(f"{where} must return the planes {', '.join(image.planes)}, found {', '.join(found.planes)}")
     arrays: list[tuple[str, Any, NDArray[Any]]] = [("range", found.range, image.range)]

@@ -168,6 +168,7 @@ def test_a_state_of_other_transforms_is_refused(figures_set: Path) -> None:
 RETURNS: list[tuple[Callable[[CameraImage], Any], str]] = [
     (lambda image: None, "must return a CameraImage, found NoneType"),
     (lambda image: replace(image, key="other"), "must keep the key, found 'other'"),
+    (lambda image: replace(image, range=image.range // 2, step_m=0.002), "must keep the step_m, found 0.002"),
     (
         lambda image: replace(image, range=image.metres),
         "must return range as uint16 (160, 82), found float32 (160, 82)",
