@@ -60,6 +60,8 @@ def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
     found = cast(type[Artifact], kind)
     if not isinstance(found.purposes, tuple) or not isinstance(found.drawn, Mapping):
         raise BadConfig(f"{where}: purposes must be a tuple, and drawn a dict, name -> caption, in {found.__name__}")
+    if ARTIFACTS.get(found.name, found) is not found:  # by its name, a network's card would give the other one
+        raise BadConfig(f"{where}: {found.name!r} is the name of another artifact, found {found.__name__}")
     return found
 
 
