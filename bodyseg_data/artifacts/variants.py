@@ -124,7 +124,10 @@ class Augmentation:
         drawn: dict[str, float] = {}
         for artifact in self.applied:
             with named(f"{sample.key}: artifact {artifact.name!r}", BadConfig):
-                drawn.update(artifact.draw(replace(draws, purposes=artifact.purposes)))
+                own = artifact.draw(replace(draws, purposes=artifact.purposes))
+                for name in own.keys() - artifact.drawn.keys():  # it might be another artifact's
+                    raise BadConfig(f"artifact {artifact.name!r} must list what it draws in 'drawn', found {name!r}")
+                drawn |= own
         made = RangeImage(sample.key, image, labels, drawn)
         covered, clean = 0, sample
         # Artifacts see the clean sample, even if the result is written into its arrays.

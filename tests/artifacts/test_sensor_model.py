@@ -263,6 +263,19 @@ def test_an_error_in_an_artifacts_draw_names_it(figures_set: Path) -> None:
         RangeImages(figures_set, "noise", sensor=SensorModel("mine", (Undrawn(),)))[0]
 
 
+def test_what_an_artifact_draws_without_listing_it_replaces_no_quantity_of_another(figures_set: Path) -> None:
+    @dataclass(frozen=True)
+    class Greedy(Artifact):
+        name, kind = "greedy", "noise"
+
+        def draw(self, draws: Draws) -> dict[str, float]:
+            return {"sigma_mm": 0.0}
+
+    images = RangeImages(figures_set, "noise", sensor=SensorModel("mine", (Noise(), Greedy())))
+    with pytest.raises(BadConfig, match="artifact 'greedy' must list what it draws in 'drawn', found 'sigma_mm'"):
+        images[0]
+
+
 def test_the_order_is_the_models(figures_set: Path) -> None:
     """Rounding before noise leaves noise; after it, whole centimetres."""
     first = RangeImages(figures_set, "noise", sensor=SensorModel("a", (Rounding(), Noise(30.0, 30.0)))).image(0)
