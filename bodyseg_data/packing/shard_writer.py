@@ -240,8 +240,9 @@ class ShardWriter:
         """Append the scene that was written first of those under way to its shard."""
         key, result = self._waiting.popleft()
         try:
+            encoded = result()  # apart: a file that the user's function lacks is no fault of the set's folder
             with writing_into(self._out):
-                self._append(key, *result())
+                self._append(key, *encoded)
         except BaseException as error:
             self._failed = error  # the scene is lost, so the set cannot be finished
             raise
@@ -267,6 +268,8 @@ class ShardWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         try:
             if error is None:
+                while self._waiting:
+                    self._append_next()
                 with writing_into(self._out):
                     self._finish()
         finally:
@@ -283,9 +286,7 @@ class ShardWriter:
             warnings.warn(f"nothing was written: {self._out} held a finished set with all scenes; {anew}", stacklevel=2)
 
     def _finish(self) -> None:
-        """Write what is under way and the manifest."""
-        while self._waiting:
-            self._append_next()
+        """Write the manifest."""
         if self._failed is not None:
             raise self._failed
         for split in list(self._open):

@@ -347,6 +347,23 @@ def test_scenes_may_be_made_where_they_are_encoded(own: bool, tmp_path: Path) ->
     assert {*made} == {*range(11)} and len(made) < 21, "what was written is not made anew"
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_a_file_that_a_function_of_scenes_lacks_is_not_taken_for_a_fault_of_the_folder(
+    late: bool, tmp_path: Path
+) -> None:
+    def make(number: int) -> dict[str, Any]:
+        if number == (4 if late else 1):
+            (tmp_path / "render.npz").read_bytes()
+        return {name: value for name, value in scene(number).items() if name != "key"}
+
+    scenes = {f"scene-{number:03d}": number for number in range(5)}
+    with (
+        pytest.raises(FileNotFoundError, match=r"render\.npz"),
+        ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES) as writer,
+    ):
+        writer.write_all(scenes, make)
+
+
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "size": ({"range_m": np.ones((15, 20))}, "range_m must be 16 x 20, as the rig says, found 15 x 20"),
     "masked": (
