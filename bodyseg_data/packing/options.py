@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, collapsed, open_source
-from bodyseg_data.core import BadConfig, bounded, check_fields, reported
+from bodyseg_data.core import BadConfig, BadSample, bounded, check_fields, reported
 from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.meshes import GeodesicMethod
 from bodyseg_data.packing.sampler import body_key
 from bodyseg_data.packing.things import ThingsPlace
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.rigs import Rig, load_rig
-from bodyseg_data.samples import SPLITS, View, ViewGrid
+from bodyseg_data.samples import SPLITS, View, ViewGrid, check_key
 from bodyseg_data.shards import CodecName
 
 PACKING_VERSION: Final = 3
@@ -60,13 +60,18 @@ class Packing:
             self.rig.check_reach(max(self.views.distances_cm) / 100)
 
     def bodies(self) -> list[BodyRef]:
-        """Return the bodies to pack, in the source's order. Raises BadConfig if two have one name, if a split is
-        unknown, if none has a pose that fits `poses`, or if they are fewer than `meshes`.
+        """Return the bodies to pack, in the source's order. Raises BadConfig if two have one name, if a name cannot be
+        in keys, if a split is unknown, if none has a pose that fits `poses`, or if they are fewer than `meshes`.
         """
         bodies = self.opened().bodies()
         if len({body.mesh for body in bodies}) < len(bodies) or {body.split for body in bodies} - {*SPLITS}:
             raise BadConfig(f"source {self.source!r}: each body has a 'mesh' of its own, and the split train or test")
+        with reported(f"source {self.source!r}", BadConfig, BadSample):  # here, not when the body's turn comes
+            for body in bodies:
+                check_key(body_key(self.source, body))
         wanted = [body for body in bodies if not self.poses or any(fnmatchcase(body.pose, each) for each in self.poses)]
+        if not bodies:
+            raise BadConfig(f"the source {self.source!r} has no bodies")
         if not wanted:
             names = ", ".join(collapsed(sorted({body.pose for body in bodies})))
             raise BadConfig(f"no body of {self.source} has a pose like {' or '.join(self.poses)}; its poses: {names}")

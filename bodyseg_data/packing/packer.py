@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bodyseg_data.bodies import BodyRef, collapsed, load_template
-from bodyseg_data.core import BadConfig, BodysegError, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, BodysegError, ProgressCallback, named, silent
 from bodyseg_data.labels import PART_CLASSES, TEMPLATE
 from bodyseg_data.packing.mesh_reduction import reduced_body
 from bodyseg_data.packing.options import PACKING_VERSION, Packing, classes_from, forget_sources
@@ -118,7 +118,9 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     """
     source = packing.opened(plan)
     seen_from = packing.rig, min(packing.views.distances_cm), packing.views.pitches_deg
-    built = reduced_body(source.build(body), packing.tolerance_mm, *seen_from, packing.pymeshlab)
+    with named(f"the source {packing.source!r}, body {body.mesh!r}", BadConfig):
+        built = source.build(body)
+    built = reduced_body(built, packing.tolerance_mm, *seen_from, packing.pymeshlab)
     parts = built.surface_labels(packing.geodesics)
     with closing(open_renderer(packing.renderer, built.mesh)) as renderer:
         places = built.template() if packing.template and built.template is not None else None
