@@ -145,7 +145,9 @@ class Augmentation:
             for artifact in self.applied[covered:]:
                 with named(f"{sample.key}: artifact {artifact.name!r}", BadConfig):
                     artifact.apply(made, scene, replace(draws, purposes=artifact.purposes))
-            _unlabel_lost(made)
+            lost = (image == 0).view(np.uint8)  # such pixels show nothing, so there is nothing to classify
+            lost *= BACKGROUND  # 255: all bits
+            labels |= lost
         return made
 
     @property
@@ -163,18 +165,7 @@ class Augmentation:
 
 def shown_with(artifact: Artifact, sample: Sample, rig: Rig, seed: int, epoch: int = 0) -> RangeImage:
     """A clean sample with one artifact alone, in arrays of its own; draws are those of a variant that has it."""
-    draws = Draws(check_seed(seed), check_epoch(epoch), sample.key)
-    image = RangeImage(sample.key, sample.range.copy(), sample.labels.copy(), artifact.draw(draws))
-    artifact.apply(image, Scene(sample, rig), draws)
-    _unlabel_lost(image)
-    return image
-
-
-def _unlabel_lost(image: RangeImage) -> None:
-    """Give lost pixels the label of background: they show nothing, so there is nothing to classify."""
-    lost = (image.range == 0).view(np.uint8)
-    lost *= BACKGROUND  # 255: all bits
-    image.labels[...] |= lost
+    return Augmentation(rig, "all", seed, SensorModel("one", (artifact,)))(sample, epoch)
 
 
 def _apart(sample: Sample, image: RangeImage) -> Sample:

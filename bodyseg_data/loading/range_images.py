@@ -38,12 +38,12 @@ from bodyseg_data.loading.selection import BlockOrder, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
 from bodyseg_data.loading.transform import (
     BadTransform,
+    CameraImage,
     Transforms,
     check_transforms,
     transform_image,
     transformed_shape,
     transforms_to_json,
-    with_camera,
 )
 from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
@@ -310,7 +310,8 @@ class RangeImages(SampleDataset):
             made = replace(made, planes=_in_order(sample, self.planes))
         if self.transforms:
             camera = self.manifest.rig_of(sample).camera
-            seen = with_camera(made, camera, self.step_m, sample, self.manifest.classes, self._has_map)
+            about = self.step_m, camera.focal_px, camera.centre_px, sample, self.manifest.classes, self._has_map
+            seen = CameraImage(made.key, made.range, made.labels, made.drawn, *about, planes=made.planes)
             draws = Draws(self.seed, epoch, made.key)
             made = transform_image(seen, self.transforms, draws, self.unlabelled)
         if self._joins:

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts import RangeImage, box_of
 from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws, named, reported
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
-from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample, SampleInfo, metres
 
 
@@ -74,14 +73,6 @@ class CameraImage(RangeImage):
     def body_box(self) -> Box | None:
         """The smallest box that holds all labelled pixels; None if there are none."""
         return ends_of(self.labels < UNLABELLED)
-
-
-def with_camera(
-    image: RangeImage, camera: Camera, step_m: float, sample: Sample, classes: Classes, has_map: bool
-) -> CameraImage:
-    """A range image of a stored sample with the camera of its rig and the classes of its set."""
-    about = step_m, camera.focal_px, camera.centre_px, sample, classes, has_map
-    return CameraImage(image.key, image.range, image.labels, image.drawn, *about, planes=image.planes)
 
 
 def ends_of(mask: NDArray[Any]) -> Box | None:
