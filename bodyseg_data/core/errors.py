@@ -70,7 +70,7 @@ def reported(where: object, raises: type[Exception], *caught: type[Exception]) -
         yield
     except kinds as error:
         words = error.strerror if isinstance(error, OSError) and OSError in kinds else None
-        raise raises(f"{where}: {words or error}" if where else str(error)) from error
+        raise raises(f"{where}: {words or str(error) or type(error).__name__}" if where else str(error)) from error
 
 
 @contextmanager

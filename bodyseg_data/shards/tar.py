@@ -199,10 +199,8 @@ class ShardReader:
         """Read the key and the members, extension -> bytes, of a sample, which is not decoded. Raises as `read`."""
         record = self._manifest.shards[shard]
         data, key = read_checked(self.store, record, index), record.entry(index).key
-        try:
+        with reported(location(record, index), BadShard, BadSample):
             return key, parse_members(key, data)
-        except BadSample as error:
-            raise BadShard(f"{location(record, index)}: {error}") from error
 
 
 def decode_piece(column: Manifest, key: str, data: bytes) -> NDArray[Any]:

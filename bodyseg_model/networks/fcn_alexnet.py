@@ -23,7 +23,7 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.core import BadConfig, one_line
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.machine import required
 from bodyseg_model.networks.checkpoints import read_bytes
@@ -165,13 +165,11 @@ def read_alexnet(path: Path) -> Arrays:
     onnx, numbers = (required(module, "reading AlexNet's weights", "onnx") for module in ("onnx", "onnx.numpy_helper"))
     data = read_bytes(path)
     found: dict[str, NDArray[np.float32]] = {}
-    try:
+    with reported(f"{path} is not a whole .onnx file", BadConfig, Exception):  # of protobuf, onnx and NumPy
         for tensor in onnx.load_from_string(data).graph.initializer:
             match = _TENSOR.fullmatch(tensor.name)
             if match and tensor.data_type == onnx.TensorProto.FLOAT and not tensor.external_data:
                 found[f"{match[1]}.{'weight' if match[2] == 'w' else 'bias'}"] = numbers.to_array(tensor)
-    except Exception as error:  # protobuf's, onnx's and NumPy's errors share no class
-        raise BadConfig(f"{path} is not a whole .onnx file: {one_line(str(error))}") from error
     arrays: Arrays = {}
     for name, shape in SHAPES.items():
         pair = []

@@ -198,10 +198,8 @@ def typestore(encoding: Encoding) -> Typestore:
 
 def decode(bag: Bag, topic: Topic, index: int) -> Any:
     """Read and decode message `index` of a topic. Raises BadConfig."""
-    try:
+    with reported("the message cannot be read", BadConfig, Exception):  # damaged pages and compressed data
         data = bag.read(topic, index)
-    except Exception as error:  # damaged pages and compressed data, as `Bag.read` says
-        raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
     store = typestore(topic.encoding)
     with reported(f"the message is no {topic.kind}", BadConfig, Exception):  # whatever the decoder raises
         if topic.encoding == "ros1":

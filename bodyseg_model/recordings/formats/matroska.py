@@ -58,10 +58,8 @@ class _Frames(FrameSource):
         if self._next is None or self._next[0] != index:
             self._next = index, self._from(index)
         stream, self._next = self._next[1], None
-        try:
+        with reported("the frame cannot be decoded", BadConfig, Exception):  # whatever the decoder raises
             pixels = next(stream)
-        except Exception as error:  # damaged tracks raise what the decoder likes
-            raise BadConfig(f"the frame cannot be decoded: {str(error) or type(error).__name__}") from error
         self._next = index + 1, stream
         return pixels
 

@@ -95,7 +95,7 @@ def test_a_source_may_read_a_folder(installed: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("dotted", "source 'faulty': a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found 'faulty-a.b-"),
+        ("dotted", "source 'faulty': a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found 'faulty-a"),
         ("empty", "the source 'faulty' has no bodies"),
         ("check", "the source 'faulty', body 'A-0': ValueError: two lines"),
         ("build", "the source 'faulty', body 'A-0': FileNotFoundError: [Errno 2] No such file or directory: 'A-0'"),
