@@ -21,7 +21,7 @@ from bodyseg_data.core import BadConfig, Checked, bounded
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import required
-from bodyseg_model.networks import Network, Trained, check_trained
+from bodyseg_model.networks import Network, Trained, check_label_map, check_trained
 from bodyseg_model.runtimes.libraries import RANGE, SCORES, OnnxRuntime
 
 FORMAT: Final = "bodyseg onnx 1"
@@ -172,6 +172,7 @@ def to_onnx(network: Network, card: dict[str, Any] | None = None) -> OnnxModel:
 def export_trained(trained: Trained) -> OnnxModel:
     """A trained network as an ONNX graph with its card, whose entries name its labels and its rig in any case."""
     check_trained(trained)
+    check_label_map(trained.network, trained.label_map)  # or the file could not be read again
     card = {**trained.card, "labels": trained.label_map.to_json(), "rig": trained.rig.to_json()}
     return to_onnx(trained.network, card)
 

@@ -19,6 +19,7 @@ from bodyseg_data.rigs import Camera
 from bodyseg_model import (
     FrameLabeller,
     Segmenter,
+    Trained,
     evaluate,
     load_network,
     on_backend,
@@ -149,6 +150,10 @@ PLAIN: Any = nn.Conv2d(1, 33, 1)
         (lambda: predict(PLAIN, FRAME), UNWRAPPED),
         (lambda: on_backend(PLAIN), UNWRAPPED),
         (lambda: write_onnx("x.onnx", PLAIN), CARDLESS),
+        (
+            lambda: write_onnx("x.onnx", Trained(wrapped(nn.Conv2d(1, 2, 1), ["floor", "arm"]).network, {})),
+            "^the network must have the 33 classes of labels 'parts33', found 2",
+        ),
     ],
 )
 def test_what_does_not_fit_is_one_line(ask: Callable[[], Any], said: str) -> None:
