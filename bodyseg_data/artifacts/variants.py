@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed, named
+from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, Classes
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
@@ -123,7 +123,7 @@ class Augmentation:
         _check_fit(sample, "the image of labels", labels, np.uint8)
         drawn: dict[str, float] = {}
         for artifact in self.applied:
-            with named(f"{sample.key}: artifact {artifact.name!r}", BadConfig):
+            with BadConfig.named(f"{sample.key}: artifact {artifact.name!r}"):
                 own = artifact.draw(replace(draws, purposes=artifact.purposes))
                 for name in own.keys() - artifact.drawn.keys():  # it might be another artifact's
                     raise BadConfig(f"artifact {artifact.name!r} must list what it draws in 'drawn', found {name!r}")
@@ -143,7 +143,7 @@ class Augmentation:
         if covered < len(self.applied):
             scene = Scene(clean, self.rig, self.classes)
             for artifact in self.applied[covered:]:
-                with named(f"{sample.key}: artifact {artifact.name!r}", BadConfig):
+                with BadConfig.named(f"{sample.key}: artifact {artifact.name!r}"):
                     artifact.apply(made, scene, replace(draws, purposes=artifact.purposes))
             lost = (image == 0).view(np.uint8)  # such pixels show nothing, so there is nothing to classify
             lost *= BACKGROUND  # 255: all bits

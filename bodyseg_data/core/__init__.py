@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         check_class,
         check_fields,
         check_int,
-        named,
         one_line,
         reported,
     )

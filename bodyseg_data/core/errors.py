@@ -33,6 +33,21 @@ class BodysegError(Exception):
     def __str__(self) -> str:
         return one_line(super().__str__())
 
+    @classmethod
+    @contextmanager
+    def named(cls, where: str, passes: "type[BodysegError] | None" = None) -> Iterator[None]:
+        """Raise whatever a user's code raises as this class, with `where` before the words and the traceback as a note;
+        errors of this package, or those of the kind `passes` alone, stay as they are.
+        """
+        try:
+            yield
+        except Exception as error:
+            if isinstance(error, passes or BodysegError):
+                raise
+            failed = cls(f"{where}: {' '.join(f'{type(error).__name__}: {error}'.split())}")
+            failed.add_note("".join(traceback.format_exception(error)))
+            raise failed from error
+
 
 class BadConfig(BodysegError):
     """An option, a rig file or a combination of arguments breaks a rule."""
@@ -71,21 +86,6 @@ def reported(where: object, raises: type[Exception], *caught: type[Exception]) -
     except kinds as error:
         words = error.strerror if isinstance(error, OSError) and OSError in kinds else None
         raise raises(f"{where}: {words or str(error) or type(error).__name__}" if where else str(error)) from error
-
-
-@contextmanager
-def named(where: str, raises: type[BodysegError], passes: type[BodysegError] = BodysegError) -> Iterator[None]:
-    """Raise whatever a user's code raises, but errors of the kind `passes`, as `raises`, with `where` before the words
-    and the traceback as a note.
-    """
-    try:
-        yield
-    except passes:
-        raise
-    except Exception as error:
-        failed = raises(f"{where}: {' '.join(f'{type(error).__name__}: {error}'.split())}")
-        failed.add_note("".join(traceback.format_exception(error)))
-        raise failed from error
 
 
 def check_int(name: str, value: Any, least: int) -> int:

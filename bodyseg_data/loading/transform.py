@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import RangeImage, box_of
-from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws, named, reported
+from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws, reported
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
 from bodyseg_data.samples import Sample, SampleInfo, metres
 
@@ -165,8 +165,7 @@ def _parameters(transform: Transform) -> dict[str, Any]:
     if isinstance(transform, FunctionTransform):
         return {}
     with reported(f"transform {transform.name!r}: a parameter must be plain JSON", BadConfig, TypeError, ValueError):
-        found: dict[str, Any] = json.loads(json.dumps(asdict(transform), allow_nan=False))
-    return found
+        return dict(json.loads(json.dumps(asdict(transform), allow_nan=False)))
 
 
 def transformed_shape(transforms: Sequence[Transform], rows: int, columns: int) -> tuple[int, int]:
@@ -200,7 +199,7 @@ def transform_image(
 
 def _called(transform: Transform, image: CameraImage, random: np.random.Generator) -> Any:
     where = f"{image.key}: transform {transform.name!r}"
-    with named(where, BadTransform, passes=BadSample), reported(where, BadSample):
+    with BadTransform.named(where, passes=BadSample), reported(where, BadSample):
         return transform(image, random)
 
 

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadMesh, named, reported
+from bodyseg_data.core import BadConfig, BadMesh, reported
 from bodyseg_data.files import parse_json
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.mesh import check_arrays
@@ -57,7 +57,7 @@ def mesh_content(path: Path) -> MeshContent:
     trimesh = required("trimesh", f"reading {path.suffix} files")
     data = file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)  # trimesh takes files of any size
     beside = {uri: file_bytes(file, "mesh", LARGEST_BYTES, BadMesh) for uri, file in gltf_buffers(path).items()}
-    with named(f"{path} cannot be read by trimesh", BadMesh, passes=BadMesh):  # whatever a damaged file makes it raise
+    with BadMesh.named(f"{path} cannot be read by trimesh", passes=BadMesh):  # whatever a damaged file makes it raise
         kind = "stl" if path.suffix.lower() == ".stl" else "gltf"
         data, names = (data, {}) if kind == "stl" else _for_trimesh(data, beside, path)
         scene = trimesh.load(BytesIO(data), kind, beside, force="scene", process=False)

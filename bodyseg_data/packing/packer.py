@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bodyseg_data.bodies import BodyRef, collapsed, load_template
-from bodyseg_data.core import BadConfig, BodysegError, ProgressCallback, named, silent
+from bodyseg_data.core import BadConfig, BodysegError, ProgressCallback, silent
 from bodyseg_data.labels import PART_CLASSES, TEMPLATE
 from bodyseg_data.packing.mesh_reduction import reduced_body
 from bodyseg_data.packing.options import PACKING_VERSION, Packing, classes_from, forget_sources
@@ -118,7 +118,7 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     """
     source = packing.opened(plan)
     seen_from = packing.rig, min(packing.views.distances_cm), packing.views.pitches_deg
-    with named(f"the source {packing.source!r}, body {body.mesh!r}", BadConfig):
+    with BadConfig.named(f"the source {packing.source!r}, body {body.mesh!r}"):
         built = source.build(body)
     built = reduced_body(built, packing.tolerance_mm, *seen_from, packing.pymeshlab)
     parts = built.surface_labels(packing.geodesics)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from bodyseg_data.bodies import BodyRef, collapsed
-from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, ProgressCallback, check_fields, named, silent
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, ProgressCallback, check_fields, silent
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
 
@@ -109,7 +109,7 @@ class SkipList:
 def check_run(packing: Packing, body: BodyRef, plan: str) -> str | None:
     """The reason why a body cannot be packed, in whichever process, as far as its source's check tells; else None."""
     try:
-        with named(f"the source {packing.source!r}, body {body.mesh!r}", BadConfig):
+        with BadConfig.named(f"the source {packing.source!r}, body {body.mesh!r}"):
             packing.opened(plan).check(body)
     except SKIPPABLE as error:
         return str(error)

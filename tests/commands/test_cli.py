@@ -25,7 +25,7 @@ import bodyseg_data
 import bodyseg_model
 from bodyseg_data.commands import check_target, cli, option, verify
 from bodyseg_data.commands.options import parse
-from bodyseg_data.core import BadConfig, named
+from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import load_label_map
 from bodyseg_model.commands import main
 from bodyseg_model.commands.cli import COMMANDS
@@ -254,7 +254,7 @@ def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
         main(["verify", "x"])
 
     def fail_in_code_of_a_user(options: object) -> int:
-        with named("artifact 'mine'", BadConfig):
+        with BadConfig.named("artifact 'mine'"):
             return int(1 / 0)
 
     monkeypatch.setattr(verify, "run", fail_in_code_of_a_user)
