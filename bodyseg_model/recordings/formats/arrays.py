@@ -68,15 +68,11 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
     differ in their numbers alone, where there are several; None takes the only one that is called depth or the like.
     Arrays are decompressed as far as the frame that is asked for. Raises BadConfig.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            found = (_described(archive, member, path) for member in archive.infolist())
-            arrays = [array for array in found if array is not None]
-            times = next((_times(archive, array) for array in arrays if array.title in _TIMES), None)
-    except BadConfig as error:
-        raise BadConfig(f"{path}: {error}") from error
-    except Exception as error:  # a damaged zip raises what zipfile, zlib, lzma and NumPy like
-        raise BadConfig(f"{path} must be a whole NPZ file: {error}") from error
+    # A damaged zip raises what zipfile, zlib, lzma and NumPy like.
+    with reported(path, BadConfig), BadConfig.named("must be a whole NPZ file"), zipfile.ZipFile(path) as archive:
+        found = (_described(archive, member, path) for member in archive.infolist())
+        arrays = [array for array in found if array is not None]
+        times = next((_times(archive, array) for array in arrays if array.title in _TIMES), None)
     images = [array for array in arrays if array.shaped and array.title not in _TIMES]
     families: dict[str, list[_Array]] = {}
     for array in sorted(images, key=lambda array: natural_key(array.title)):
