@@ -148,6 +148,8 @@ def _checked(given: Any) -> Transform:
     if isinstance(given, FunctionType):
         if given.__name__ == "<lambda>":
             raise BadConfig(f"a transform must have a name: use a function of a module, found {_name_of(given)}")
+        if any(isinstance(cell.cell_contents, int | float | str) for cell in given.__closure__ or ()):
+            raise BadConfig(f"a transform with parameters must be a class, found the function {_name_of(given)}")
         return FunctionTransform(given)
     if isinstance(given, type) or not callable(given) or not isinstance(getattr(given, "name", None), str):
         raise BadConfig(f"a transform must be a function, or a dataclass derived from Transform, found {given!r}")

@@ -233,6 +233,16 @@ def test_samples_that_a_transform_refuses_can_be_skipped(figures_set: Path) -> N
         images[images.keys.index(batches.skipped[0].key)]
 
 
+def nearer_than(most_m: float) -> Callable[[CameraImage, np.random.Generator], CameraImage]:
+    """A function whose identity would not tell its limit."""
+
+    def near(image: CameraImage, random: np.random.Generator) -> CameraImage:
+        image.range[image.metres > most_m] = 0
+        return image
+
+    return near
+
+
 @dataclass
 class Thawed(Transform):
     name = "thawed"
@@ -266,6 +276,7 @@ class Flat(Transform):
         ("flip", "a transform must be a function, or a dataclass derived from Transform, found 'f'"),
         (Flip, "a transform must be a function, or a dataclass derived from Transform, found <class"),
         (partial(nearer), "a transform must be a function, or a dataclass derived from Transform, found functools"),
+        (nearer_than(2.5), "a transform with parameters must be a class, found the function .*nearer_than"),
         (Thawed(), "a transform must be a frozen dataclass, found Thawed"),
         (Plain(), "a transform must be a frozen dataclass, found Plain"),
         (Table(np.zeros(3)), "transform 'table': a parameter must be plain JSON: Object of type ndarray"),
