@@ -63,3 +63,11 @@ def test_gradients_by_ranges_pass_through_patches() -> None:
     range_m = bodies(20, 20).requires_grad_()
     patches_of(range_m, 4).values.square().sum().backward()
     assert range_m.grad is not None and bool(range_m.grad[0].any())
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit.trace` is deprecated", "ignore::torch.jit.TracerWarning")
+def test_a_trace_holds_the_computation_and_not_what_its_example_gave() -> None:
+    traced = torch.jit.trace(lambda range_m: tuple(patches_of(range_m, 16)), (bodies(48, 32),))  # type: ignore[no-untyped-call]
+    other = bodies(61, 47)
+    for found, wanted in zip(traced(other), patches_of(other, 16), strict=True):
+        assert torch.equal(found, wanted)
