@@ -156,7 +156,7 @@ class FlipAverage(Network):
         """Answers to images, and to their mirror images, mirrored back."""
         check_range_images(range_m)
         # Whole strides, so that points of scores fall on one another when they are mirrored.
-        seen = F.pad(range_m, (0, -range_m.shape[3] % self.output_stride))
+        seen = _padded(range_m, 1, self.output_stride)
         if self.together:
             own, mirrored = compute(torch.cat([seen, seen.flip(3)])).chunk(2)
         else:
@@ -177,7 +177,7 @@ class WrappedModule(Network):
         if self.module.training and not self.training:  # set since, also within a `FlipAverage`
             raise BadConfig("a wrapped module must be in evaluation mode, as its network is: call network.eval() first")
         rows, columns = range_m.shape[2:]
-        image = F.pad(range_m, (0, -columns % self.multiple, 0, -rows % self.multiple))
+        image = _padded(range_m, self.multiple, self.multiple)
         scores = self.module(image if self.prepare is None else self.prepare(image))
         whole = [len(image), self.classes, *image.shape[2:]]
         found = list(scores.shape) if isinstance(scores, torch.Tensor) else type(scores).__name__
@@ -250,8 +250,7 @@ def patches_of(range_m: torch.Tensor, side: int, shrink: int = 1) -> Patches:
     if shrink == 1 and _fits_loops(range_m, layers):
         with if_ready:
             return _by_loops(range_m, side, layers)
-    cell, (rows, columns) = side * shrink, range_m.shape[2:]
-    relief = F.pad(relief_of(range_m), (0, -columns % cell, 0, -rows % cell))
+    relief = _padded(relief_of(range_m), side * shrink, side * shrink)
     if shrink > 1:
         relief = shrunk(relief, shrink)
     # Converted here: the layers would convert later, from copies of twice the size.
@@ -272,7 +271,7 @@ def metric_patches(range_m: torch.Tensor, side: int, focal_px: float) -> Patches
     if _fits_loops(range_m, layers):
         with if_ready:
             return _by_loops(range_m, side, layers, focal_px)
-    metres = _unshuffled(F.pad(range_m.float(), (0, -columns % side, 0, -rows % side)), side)
+    metres = _unshuffled(_padded(range_m.float(), side, side), side)
     known = (metres > 0).float()
     share = known.mean(1, keepdim=True)
     mean = metres.mean(1, keepdim=True) / share.clamp(min=1 / side**2)
@@ -286,6 +285,12 @@ def metric_patches(range_m: torch.Tensor, side: int, focal_px: float) -> Patches
     places = mean / 3 - has, has / mean.clamp(min=0.3), x * mean / 2, y * mean / 2, has, x, y
     values = torch.cat([relief, known, *places], 1).to(layers).contiguous(memory_format=torch.channels_last)
     return Patches(values, share)
+
+
+def _padded(x: torch.Tensor, down: int, across: int) -> torch.Tensor:
+    """Pad [B, C, H, W] by 0 below and at the right until its sides are multiples of `down` and `across`."""
+    rows, columns = x.shape[2:]  # `-rows % down` is nothing that torch.compile computes of sizes that vary
+    return F.pad(x, (0, (across - columns % across) % across, 0, (down - rows % down) % down))
 
 
 def _fits_loops(range_m: torch.Tensor, layers: torch.dtype) -> bool:

@@ -73,6 +73,14 @@ def test_a_wrapped_module_is_asked_as_it_was_trained(unet: UNet) -> None:
     assert (found.labels[:, :3] == 255).all()
 
 
+def test_a_compiled_network_takes_images_of_any_size(unet: UNet) -> None:
+    network = wrapped(unet, multiple=4).network
+    compiled = torch.compile(network, backend="aot_eager", dynamic=True)
+    image = torch.rand(1, 1, 61, 47, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        torch.testing.assert_close(compiled(image), network(image))
+
+
 def test_a_module_that_was_trained_meanwhile_is_refused_until_it_is_in_evaluation_mode(unet: UNet) -> None:
     network = wrapped(unet, multiple=4).network
     for each in (network, FlipAverage(network)):
