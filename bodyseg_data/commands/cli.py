@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from bodyseg_data.commands.options import parse, version_line
-from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.core import BadConfig, BodysegError, reported
 from bodyseg_data.machine import wait_briefly
 
 Commands = Mapping[str, tuple[str, str]]
@@ -145,6 +145,8 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
         return 0
     if name not in commands:
         raise BadConfig(f"no such command; there are {', '.join(commands)}")
+    with reported("the current folder was deleted, and perhaps made again: cd to it or another", BadConfig, OSError):
+        Path.cwd()  # without one, PyTorch ends the process
     place, summary = commands[name]
     command = load_command(place)
     options = parse(command.Options, words, f"{program}{name}", summary, command.EXAMPLE)

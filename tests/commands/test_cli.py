@@ -365,6 +365,17 @@ def test_output_that_cannot_be_written_is_one_line(small_set: Path) -> None:
     assert done.stderr.splitlines()[-1] == "bodyseg verify: No space left on device"
 
 
+def test_a_current_folder_that_was_deleted_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert main(["verify", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith("bodyseg verify: the current folder was deleted")
+
+
 def test_closed_streams_change_no_status(small_set: Path) -> None:
     for closed in (">&-", ">&- 2>&-"):
         script = f"{sys.executable} -m bodyseg_data verify {small_set} {closed}"
