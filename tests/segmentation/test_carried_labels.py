@@ -15,7 +15,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation import CarriedLabels, carried_labels
-from bodyseg_model.segmentation.carried_labels import Carrying, CellLens, Cells, nearest_first, part_shifts
+from bodyseg_model.segmentation.carried_labels import BodyPixels, Carrying, CellLens, Cells, nearest_first, part_shifts
 from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, nearest
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -216,6 +216,8 @@ def test_a_body_keeps_its_number_also_out_of_sight_for_a_second() -> None:
     assert tracks(-0.35, 0.35) == [3, 4], "after longer they are others"
     carried.restart()
     assert tracks(0.35) == [1] and len(carried._tracked) == 1
+    carried.restart(numbers=False)
+    assert tracks(0.35) == [2], "numbers go on"
 
 
 def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) -> list[Labels]:
@@ -296,6 +298,45 @@ def test_labels_that_slide_along_a_board_are_followed() -> None:
         shown = [call(video, range_m, labels) for video in (followed, behind)]
     wrong, late = ((image != labels)[range_m > 0].mean() for image in shown)
     assert wrong < 0.03 and late > 0.05
+
+
+def cells_of(carried: CarriedLabels, range_m: Image) -> tuple[Cells, CellLens]:
+    body = BodyPixels(np.flatnonzero(range_m), range_m.ravel(), range_m.ravel(), np.zeros(range_m.size, np.uint8))
+    lens = carried._lens(body, LENS)
+    return carried._cells(body, lens), lens
+
+
+def test_cells_of_a_slanted_board_have_its_normal_and_their_neighbours() -> None:
+    """None of them across the jump in its middle, nor beyond its ends."""
+    slant = np.array([-0.3, -0.2, 1.0])  # the board is where slant @ point is 2
+    range_m = 2 / (LENS.pixel_rays() @ slant)
+    range_m[:, 80:] += 0.3
+    shown = np.zeros(range_m.shape, bool)
+    shown[:100, :130] = True
+    cells, lens = cells_of(CarriedLabels(), np.where(shown, range_m, 0).astype(np.float32))
+    rows, columns = np.divmod(np.flatnonzero(cells.grid >= 0), lens.across)
+    places = list(zip(rows.tolist(), columns.tolist(), strict=True))
+    for number, (row, column) in enumerate(places):
+        beside = (row, column - 1), (row, column + 1), (row - 1, column), (row + 1, column)
+        found = [places.index(each) if each in places else number for each in beside]
+        jumps = [abs(cells.points[each, 2] - cells.points[number, 2]) > 0.15 for each in found]
+        expected = [number if jump else each for each, jump in zip(found, jumps, strict=True)]
+        assert cells.neighbours[number].tolist() == expected
+    inside = (cells.neighbours != np.arange(len(places))[:, None]).all(axis=1) & (columns * lens.side < 70)
+    assert inside.sum() > 300
+    np.testing.assert_allclose(
+        cells.normals[inside], np.tile(slant / np.linalg.norm(slant), (inside.sum(), 1)), atol=0.02
+    )
+
+
+@pytest.mark.parametrize("x_m", [0.06, 0.3])  # the farther one is sought from the shift of its middle
+def test_a_rigid_motion_is_found_back_to_the_frame_before(x_m: float) -> None:
+    carried = CarriedLabels()
+    earlier, lens = cells_of(carried, pillar()[0])
+    own, _ = cells_of(carried, pillar(x_m, 2.04, 0.1)[0])
+    rigid = carried._rigid(own, earlier, lens, 0.05)
+    np.testing.assert_allclose(rigid[:, :3] @ (x_m, 0, 2.04) + rigid[:, 3], (0, 0, 2), atol=0.004)
+    assert np.arctan2(rigid[0, 2], rigid[0, 0]) == pytest.approx(0.1, abs=0.006)
 
 
 def test_parts_shift_by_their_middles_unless_they_are_small_or_far() -> None:
