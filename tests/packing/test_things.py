@@ -111,6 +111,14 @@ def test_things_cast_shadows_and_receive_them() -> None:
     assert shadow > 100 and lit_thing > 1000 and dark_thing > 100
 
 
+@pytest.mark.parametrize(("place", "expected"), [*zip(PLACES, (1854.929208, 2492.812603, 4426.741767), strict=True)])
+def test_things_stay_where_they_were_drawn(place: ThingsPlace, expected: float) -> None:
+    """Elsewhere they are other bytes of sets with things, and need a new `PACKING_VERSION`."""
+    solids = [drawn(place, View(215, 40), f"key {number}")[0].solid for number in range(3)]
+    places = np.concatenate([np.abs(solid.vertices).ravel() for solid in solids])
+    assert places @ (1 + np.arange(len(places)) % 7) == pytest.approx(expected, abs=1e-5)
+
+
 def test_facing_is_that_of_outward_normals() -> None:
     things = Things(cuboid((1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), 0.001)
     towards = things.facing(np.arange(12, dtype=np.int32), np.array([0.0, 0.0, 9.0]))
