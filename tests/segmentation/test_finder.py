@@ -19,7 +19,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import build
 from bodyseg_model.runtimes import on_backend
-from bodyseg_model.segmentation import Background, find_bodies
+from bodyseg_model.segmentation import Background, find_bodies, finder
 from bodyseg_model.segmentation.finder import FinderView, part_people
 from bodyseg_model.segmentation.pixel_loops import AROUND, first_of, join_rows, spread_odds, take_nearest
 
@@ -103,18 +103,25 @@ def test_a_frame_of_the_finders_own_camera_is_shown_as_it_is() -> None:
         assert (found[:5] == 0).all()
 
 
-@pytest.mark.parametrize("focal_px", [57.0, 141.0, 260.0])
-def test_other_cameras_are_resampled_by_nearest_pixels(focal_px: float) -> None:
-    camera, network = lens(50, 70, focal_px, (30.0, 28.0)), Nearer(limit_m=100.0)
-    frame = (1 + np.arange(50)[:, None] / 50 + np.arange(70) / 7000).astype(np.float32)
+@pytest.mark.parametrize(
+    "camera",
+    [
+        *(lens(50, 70, focal_px, (30.0, 28.0)) for focal_px in (57.0, 141.0, 260.0)),
+        lens(60, 80, 150.0, (60.0, 45.0)),  # is shown in an image of its own size
+        lens(60, 80, 150.0, (20.0, 15.0)),
+    ],
+)
+def test_other_cameras_are_resampled_by_nearest_pixels(camera: Camera) -> None:
+    network, (x, y), scale = Nearer(limit_m=100.0), camera.centre_px, camera.focal_px / 100
+    frame = (1 + np.arange(camera.rows)[:, None] / 50 + np.arange(camera.columns) / 7000).astype(np.float32)
     found = FinderView(network, camera)(frame)
     seen = network.seen[0][0, 0].numpy()
     assert all(side % 2 == 0 for side in seen.shape), "the principal point is the middle"
     down, across = (np.arange(side) + 0.5 - side / 2 for side in seen.shape)
-    rows, columns = np.floor(28 + down * focal_px / 100), np.floor(30 + across * focal_px / 100)
-    inside = ((rows >= 0) & (rows < 50))[:, None] & ((columns >= 0) & (columns < 70))
+    rows, columns = np.floor(y + down * scale), np.floor(x + across * scale)
+    inside = ((rows >= 0) & (rows < camera.rows))[:, None] & ((columns >= 0) & (columns < camera.columns))
     np.testing.assert_array_equal(seen > 0, inside)
-    expected = frame[rows.clip(0, 49).astype(int)][:, columns.clip(0, 69).astype(int)]
+    expected = frame.take(rows.astype(int), 0, mode="clip").take(columns.astype(int), 1, mode="clip")
     np.testing.assert_array_equal(seen[inside], expected[inside])
     assert (found > 0.99).all(), "all that is measured has an answer"
 
@@ -161,6 +168,67 @@ def parted(*images: Image, room: Image | None = None) -> list[NDArray[np.bool_]]
     return [mask((pixels,)) for pixels in found]
 
 
+@pytest.mark.parametrize("shape", [(60, 240), (240, 60)])
+def test_samples_are_points_and_neighbours_on_one_surface(
+    shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draws, taken = np.random.default_rng(4), list[Any]()
+    monkeypatch.setattr(
+        finder, "_persons", lambda samples, _: taken.append(samples) or np.zeros(len(samples.rows), int)
+    )
+    camera = lens(*shape, 525.0, (81.3, 57.8))  # every third pixel
+    image = draws.choice(np.array([2.0, 2.04, 2.12, 4.0, 4.15, 4.165], np.float32), shape)
+    shown = (draws.random(shape) < 0.2) & (np.indices(shape) >= 5).all(axis=0)
+    part_people(image, shown, camera)
+    (samples,) = taken
+    top, left = np.argwhere(shown).min(axis=0)
+    rows, columns = top + 1 + 3 * samples.rows, left + 1 + 3 * samples.columns
+    assert shown[rows, columns].all() and len(rows) == np.count_nonzero(shown[top + 1 :: 3, left + 1 :: 3])
+    z = image[rows, columns].astype(float)
+    np.testing.assert_allclose(samples.points, camera.pixel_rays()[rows, columns] * z[:, None], rtol=1e-6)
+    np.testing.assert_allclose(samples.area_m2, (3 * z / 525) ** 2)
+    expected = set()
+    for line, place in ((samples.rows, samples.columns), (samples.columns, samples.rows)):
+        for one in np.unique(line):
+            own = np.flatnonzero(line == one)
+            own = own[np.argsort(place[own])]
+            for a, b in itertools.pairwise(own.tolist()):
+                gap, nearer = place[b] - place[a] - 1, min(z[a], z[b])
+                near = gap <= 1 or gap * 3 / 525 * nearer <= 0.2
+                if near and abs(z[a] - z[b]) <= max(0.1, 0.04 * nearer):
+                    expected.add((a, b))
+    assert set(map(tuple, samples.edges.T.tolist())) == expected and len(expected) > 100
+
+
+def box_of_part(rows: tuple[int, int], x: tuple[float, float], y: tuple[float, float], z: float) -> Any:
+    return tuple(np.array([rows[end], 0, x[end], y[end], z + 0.1 * end]) for end in (0, 1))
+
+
+UPPER = box_of_part((0, 10), (-0.3, 0.2), (-0.9, -0.1), 2.0)
+
+
+@pytest.mark.parametrize(
+    ("lower", "one"),
+    [
+        (box_of_part((10, 30), (-0.2, 0.3), (0.3, 0.8), 2.0), True),
+        (box_of_part((9, 30), (-0.2, 0.3), (0.3, 0.8), 2.0), False),
+        (box_of_part((10, 30), (-0.01, 0.8), (0.3, 0.8), 2.0), False),
+        (box_of_part((10, 30), (-0.06, 0.8), (0.3, 0.8), 2.0), True),
+        (box_of_part((10, 30), (-0.8, -0.04), (0.3, 0.8), 2.0), True),
+        (box_of_part((10, 30), (0.05, 0.25), (0.3, 0.8), 2.0), True),
+        (box_of_part((10, 30), (0.15, 0.35), (0.3, 0.8), 2.0), False),
+        (box_of_part((10, 30), (-0.2, 0.3), (0.3, 0.8), 2.3), True),
+        (box_of_part((10, 30), (-0.2, 0.3), (0.3, 0.8), 2.4), False),
+        (box_of_part((10, 30), (-0.2, 0.3), (0.3, 0.8), 1.6), False),
+        (box_of_part((10, 30), (-0.2, 0.3), (0.3, 1.19), 2.0), True),
+        (box_of_part((10, 30), (-0.2, 0.3), (0.3, 1.21), 2.0), False),
+    ],
+)
+def test_a_person_in_two_parts_is_one_above_the_other(lower: Any, one: bool) -> None:
+    """In boxes of rows, columns, x, y and z: half as wide in common, at one range, and no taller than people are."""
+    assert finder._one_above_other(UPPER, lower) is finder._one_above_other(lower, UPPER) is one
+
+
 def test_a_person_is_one_whatever_gaps_noise_and_shadows_part() -> None:
     draws, figure = np.random.default_rng(1), person(0.0, 2.4)
     noisy = figure * (1 + draws.normal(0, 0.004, figure.shape)).astype(np.float32)
@@ -179,6 +247,20 @@ def test_people_side_by_side_are_two(apart: float) -> None:
     for figure in (one, other):
         own = np.isfinite(figure) & (figure <= together(one, other)) & ~np.isfinite(arms)
         assert max(mine[own].mean() for mine in found) > 0.95
+
+
+def test_three_people_side_by_side_are_three() -> None:
+    figures = [person(x, 2.6) for x in (-0.5, 0.0, 0.5)]
+    found = parted(*figures, ellipsoid((0.0, -0.3, 2.6), (0.7, 0.06, 0.05)))
+    assert len(found) == 3
+    assert all(max(mine[np.isfinite(figure)].mean() for mine in found) > 0.9 for figure in figures)
+
+
+def test_a_person_who_holds_a_parcel_is_one() -> None:
+    """Its surface is large enough for a person of its own, but the head is above it."""
+    figure, parcel = person(0.0, 2.6), box(0.4, 0.36, 2.42, 0.0, 0.02)
+    (found,) = parted(figure, parcel)
+    np.testing.assert_array_equal(found, np.isfinite(together(figure, parcel)))
 
 
 def test_a_person_before_another_is_another() -> None:
@@ -203,8 +285,11 @@ def test_raised_arms_are_no_people() -> None:
         (ellipsoid((-0.24, 0.2, 2.8), (0.08, 0.08, 0.03)), True),
         (ellipsoid((-0.3, 0.2, 3.3), (0.1, 0.08, 0.03)), False),
         (ellipsoid((0.9, 0.0, 2.6), (0.1, 0.1, 0.1)), False),
+        (ellipsoid((0.22, -0.2, 2.2), (0.05, 0.08, 0.03)), True),
+        (ellipsoid((-0.22, -0.2, 2.2), (0.05, 0.08, 0.03)), True),
+        (ellipsoid((0.0, -0.8, 2.2), (0.08, 0.05, 0.03)), True),
     ],
-    ids=["hand before", "far before", "hand behind", "far behind", "beside"],
+    ids=["before", "far before", "behind", "far behind", "far aside", "on the right", "on the left", "above"],
 )
 def test_small_pieces_in_reach_belong_to_a_person(piece: Image, belongs: bool) -> None:
     figure = person(0.0, 2.6)
@@ -260,8 +345,10 @@ def test_finding_needs_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_finding_does_not_change_the_frame() -> None:
     image = frame(person(0.1, 2.6), box(9, 9, 4.0))
     before = image.copy()
-    (found,) = find_bodies(image, KINECT, Background(), Nearer())
+    network = Nearer()
+    (found,) = find_bodies(image, KINECT, Background("people", 0.5, 3.5), network)
     np.testing.assert_array_equal(image, before)
+    assert network.seen[0].max() == 4, "what is farther than people may be is shown to the finder"
     np.testing.assert_array_equal(mask((found.pixels,)), np.isfinite(person(0.1, 2.6)))
     assert found.person == pytest.approx(0.9997, abs=1e-4)
     assert find_bodies(image, KINECT, Background("people", 0.5, 2.0), Nearer()) == ()
@@ -385,6 +472,24 @@ def test_surfaces_that_grow_by_rows_are_those_of_the_whole_image() -> None:
                 assert {first_of(above, member) for member in members} == {members[0]}
                 assert cells[members[0]] == len(members)
         assert (above[~whole.ravel()] == -1).all()
+
+
+class Spotted(Nearer):
+    """Rather sure of people, and at few places very sure of nobody."""
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        odds = torch.full(range_m.shape[2:], 0.2)
+        odds[10::15, 7::15] = -90
+        return torch.stack([odds, torch.zeros_like(odds)])[None]
+
+
+def test_cells_that_agree_with_all_around_need_no_mean() -> None:
+    range_m = np.full((KINECT.rows, KINECT.columns), 2.0, np.float32)
+    found, plain = FinderView(Spotted(focal_px=262.5), KINECT)(range_m), np.zeros_like(range_m)
+    odds = np.full(range_m.shape, 0.2, np.float32)
+    odds[10::15, 7::15] = -90
+    spread_odds(odds, np.zeros(odds.shape, np.bool_), range_m, 1, plain)
+    np.testing.assert_array_equal(found > 0.5, plain > 0.5)
 
 
 class Doubtful(Nearer):
