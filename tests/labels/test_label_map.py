@@ -194,6 +194,7 @@ def test_classes_of_a_users_own() -> None:
     assert classes_of(["a", "b"], "mine") == Classes("mine", (LabelClass("a"), LabelClass("b")))
     sided = classes_of(["left hand", "table", "right hand", LabelClass("lane.L", mirror="lane.L"), "lane.R"])
     assert sided.mirrored[:5].tolist() == [2, 1, 0, 3, 4]
+    assert classes_of(["left hand", "right hand"]).mirrored[:2].tolist() == [1, 0], "a pair alone is one, too"
     one_states_it = classes_of([LabelClass("open", mirror="shut"), "lamp", "shut"])
     assert one_states_it.mirrored[:3].tolist() == [2, 1, 0]
     assert classes_from_json(PART_CLASSES.to_json(), "x") == PART_CLASSES
@@ -345,6 +346,8 @@ def test_a_class_for_the_rest_takes_classes_that_stand_nowhere() -> None:
     assert hands.table[[*map(LANDMARKS.index, ("Rt. Dactylion", "Sellion")), UNLABELLED, BACKGROUND]].tolist() == [
         0, 1, 1, BACKGROUND,
     ]  # fmt: skip
+    last = LabelMap("last", (*((name, (name,)) for name in CELL.names[:3]), ("else", ("*",))), CELL)
+    assert last.members == whole_map(CELL).members and not last.is_whole, "surfaces of no class have one"
 
 
 def test_the_rest_is_one_class_alone() -> None:
