@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from shapes import mean_by_place
 
 from bodyseg_data.bodies import FRAMES_PER_SECOND
 from bodyseg_data.bodies.anny_model import Figure
@@ -152,6 +153,18 @@ def test_no_two_frames_are_alike(frames: Any, subject: str, name: str) -> None:
     table = np.array([[*angles(frame.pose), 100 * frame.height_m] for frame in frames[subject, name]])
     apart = np.abs(table[:, None] - table[None]).max(axis=-1)
     assert (apart + 10 * np.eye(len(table))).min() > 0.05
+
+
+FRAMES = {
+    ("B", "crane"): 10.141159, ("B", "jumping"): 10.71332, ("B", "march"): 9.144734, ("B", "squat"): 11.382113,
+    ("C", "bouncing"): 10.141425, ("C", "handstand"): 10.147945, ("C", "march"): -0.879573, ("C", "squat"): 14.805371,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("subject", "name"), NAMES)
+def test_frames_stay_as_they_were(frames: Any, subject: str, name: str) -> None:
+    table = [[*angles(frame.pose), 100 * frame.height_m] for frame in frames[subject, name]]
+    assert mean_by_place(table) == pytest.approx(FRAMES[subject, name], abs=1e-5)
 
 
 def test_frames_are_rounded_so_that_machines_agree(frames: Any) -> None:

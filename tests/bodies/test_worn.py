@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from shapes import mean_by_place
 
 from bodyseg_data.bodies.anny_model import AnnyModel, Posable
 from bodyseg_data.bodies.anny_people import SUBJECT_A
@@ -174,6 +175,14 @@ def test_padded_blocks_have_their_size() -> None:
     block = padded((0.3, 0.4, 0.1))
     np.testing.assert_allclose(np.ptp(block.vertices, axis=0), (0.3, 0.4, 0.1), atol=1e-12)
     assert 0.75 * 0.012 < volume(block) < 0.012
+
+
+@pytest.mark.parametrize(("pose", "place"), [("standing", 0.0726245), ("sitting", 0.1476124), ("lying", 0.0111975)])
+def test_what_is_worn_stays_as_it_was(pose: str, place: float) -> None:
+    """Other points are other bodies of sets: raise CLOTHES_VERSION."""
+    body, attire = wearer(pose), Attire(SKIRT, LONG, SHOES, Held("bag", "R", 0.2))
+    vertices, _, _ = joined(body.points, adult()[0].faces, put_on(body, attire, draped(body, SKIRT)))
+    assert mean_by_place(vertices) == pytest.approx(place, abs=1e-6)
 
 
 def test_all_of_it_on_a_body_is_a_mesh_and_takes_the_labels_beneath() -> None:

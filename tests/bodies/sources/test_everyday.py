@@ -7,12 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from shapes import mean_by_place
 
 from bodyseg_data.bodies import BodyRef, open_source
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.anny_people import person
 from bodyseg_data.bodies.contact_poses import DEEPEST_M, DrawnContact
 from bodyseg_data.bodies.limb_reaching import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, Limb, PosedSkin
+from bodyseg_data.bodies.motions.curves import angles
 from bodyseg_data.bodies.skeleton import bone_rotations
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import CANDIDATES, EVERYDAY, CandidateBodies, EverydayBodies, WideBodies
@@ -133,11 +135,18 @@ def test_a_body_of_another_source_is_refused() -> None:
         EverydayBodies().drawn(BodyRef("wide", "W000", "wide-000", "upright", "train"))
 
 
-def test_drawn_poses_are_pinned() -> None:
+@pytest.mark.parametrize(
+    ("index", "contacts", "angle"),
+    [
+        (1, ("in the air", "palm on chest"), 18.642237),
+        (2, ("inner forearm on waist", "inner forearm on waist"), 16.796514),
+        (34, ("inner forearm on the floor", "palm on the floor"), 19.48155),
+    ],
+)
+def test_drawn_poses_are_pinned(index: int, contacts: tuple[str, str], angle: float) -> None:
     """A failure here means that poses changed: raise POSES_VERSION, and write the new angles."""
-    pose = drawn(1).pose
-    assert drawn(1).contacts == ("in the air", "palm on chest")
-    assert (pose.left_leg.flex, pose.left_leg.knee) == (7.3, 33.4)
+    assert drawn(index).contacts == contacts
+    assert mean_by_place(angles(drawn(index).pose)) == pytest.approx(angle, abs=1e-6)
 
 
 def test_what_people_wear_is_drawn_from_their_names_and_goes_into_the_mesh() -> None:
@@ -148,6 +157,7 @@ def test_what_people_wear_is_drawn_from_their_names_and_goes_into_the_mesh() -> 
     built, bare = source().build(ref), source().build(ref, dressed=False)
     assert len(built.pieces) == 4 and not bare.pieces and len(bare.mesh.vertices) < len(built.mesh.vertices)
     assert built.mesh.vertices[:, 1].min() == 0
+    assert mean_by_place(built.mesh.vertices) == pytest.approx(0.291973, abs=1e-6), "raise CLOTHES_VERSION"
     again = source().build(ref).mesh
     assert again.vertices.tobytes() == built.mesh.vertices.tobytes() and (again.faces == built.mesh.faces).all()
 
