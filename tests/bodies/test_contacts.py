@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from shapes import mean_by_place, numbers_in
 
 from bodyseg_data.bodies.anny_model import AnnyModel, Posable
 from bodyseg_data.bodies.anny_people import SUBJECT_A
@@ -161,5 +162,6 @@ def test_drawn_outfits_differ_and_close_ones_are_closer() -> None:
     loose = [drawn_outfit(random, close=False) for _ in range(50)]
     close = [drawn_outfit(random, close=True) for _ in range(50)]
     assert len(set(loose)) == len(set(close)) == 50
+    assert mean_by_place(numbers_in(loose + close)) == pytest.approx(0.2844974, abs=1e-6), "raise CLOTHES_VERSION"
     assert max(outfit.top_loose_m for outfit in close) < min(outfit.top_loose_m for outfit in loose)
     assert min(outfit.leg_taper for outfit in close) > max(outfit.leg_taper for outfit in loose)

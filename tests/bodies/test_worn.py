@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from shapes import mean_by_place
+from shapes import mean_by_place, numbers_in
 
 from bodyseg_data.bodies.anny_model import AnnyModel, Posable
 from bodyseg_data.bodies.anny_people import SUBJECT_A
@@ -177,11 +177,21 @@ def test_padded_blocks_have_their_size() -> None:
     assert 0.75 * 0.012 < volume(block) < 0.012
 
 
-@pytest.mark.parametrize(("pose", "place"), [("standing", 0.0726245), ("sitting", 0.1476124), ("lying", 0.0111975)])
-def test_what_is_worn_stays_as_it_was(pose: str, place: float) -> None:
+@pytest.mark.parametrize(
+    ("pose", "attire", "place"),
+    [
+        ("standing", Attire(SKIRT, LONG, SHOES, Held("bag", "R", 0.2)), 0.0726245),
+        ("sitting", Attire(COAT, BUN, None, Held("box", "L", 0.4)), 0.1568558),
+        ("lying", Attire(SKIRT, BUN, SHOES, Held("stick", "R", 0.7)), 0.0359706),
+        ("kicking", Attire(None, LONG, None, Held("bottle", "L", 0.5)), 0.2166814),
+        ("standing", Attire(COAT, None, SHOES, Held("backpack")), 0.0547125),
+    ],
+)
+def test_what_is_worn_stays_as_it_was(pose: str, attire: Attire, place: float) -> None:
     """Other points are other bodies of sets: raise CLOTHES_VERSION."""
-    body, attire = wearer(pose), Attire(SKIRT, LONG, SHOES, Held("bag", "R", 0.2))
-    vertices, _, _ = joined(body.points, adult()[0].faces, put_on(body, attire, draped(body, SKIRT)))
+    body = wearer(pose)
+    drape = None if attire.drape is None else draped(body, attire.drape)
+    vertices, _, _ = joined(body.points, adult()[0].faces, put_on(body, attire, drape))
     assert mean_by_place(vertices) == pytest.approx(place, abs=1e-6)
 
 
@@ -216,6 +226,7 @@ def test_attire_is_drawn_like_a_crowd_and_keeps_clear_of_hands() -> None:
         name: np.mean([getattr(one, name) is not None for one in free]) for name in ("drape", "hair", "shoes", "held")
     }
     assert share == pytest.approx({"drape": 0.56, "hair": 0.37, "shoes": 0.6, "held": 0.4}, abs=0.07)
+    assert mean_by_place(numbers_in(free)) == pytest.approx(0.6165609, abs=1e-6), "raise CLOTHES_VERSION"
     coats = [one.drape.open_deg > 0 for one in free if one.drape is not None and one.drape.top > 0.9]
     assert np.mean(coats) == pytest.approx(0.5, abs=0.15)
     touching = [drawn_attire(draws, ("palm on thigh", "palm on crown"), True) for _ in range(100)]

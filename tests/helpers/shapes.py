@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import Any
 
@@ -16,6 +17,11 @@ def mean_by_place(numbers: Any) -> float:
     """Mean of many numbers, weighted by their places, which tells whether any of them is another one."""
     flat = np.ravel(numbers)
     return float(np.average(flat, weights=1 + np.arange(len(flat)) % 7))
+
+
+def numbers_in(records: Any) -> list[float]:
+    """The numbers with a decimal point in what is printed of records."""
+    return [float(number) for number in re.findall(r"\d+\.\d+", repr(records))]
 
 
 def ball(
