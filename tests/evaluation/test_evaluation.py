@@ -2,19 +2,22 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from PIL import Image
 from small_rig import SMALL
 
 from bodyseg_data import Mixture, RangeImages, ShardWriter
 from bodyseg_data.artifacts import sensor_model_names
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.drawing import EMPTY
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, colour_labels
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import (
@@ -28,7 +31,17 @@ from bodyseg_model.evaluation import (
     time_frames,
 )
 from bodyseg_model.evaluation.evaluation import PredictedImage
-from bodyseg_model.evaluation.figures import draw_parts
+from bodyseg_model.evaluation.figures import (
+    _DROPPED,
+    _RIGHT,
+    _SWAPPED,
+    _caption,
+    _panels,
+    draw_confidence,
+    draw_confusion,
+    draw_parts,
+)
+from bodyseg_model.evaluation.scores import KINDS, kinds_of
 from bodyseg_model.networks import Network, build, load_network, predict, save_network
 from bodyseg_model.networks.registry import Prediction
 
@@ -256,7 +269,7 @@ def test_an_empty_image_counts_as_an_image_and_as_nothing_else() -> None:
     assert picture.draw() is None
 
 
-def test_the_report_by_hand() -> None:
+def by_hand() -> Evaluation:
     found = Evaluation()
     for subset, labels, predicted in (
         ("people", [0, 0, 4, 4, BACKGROUND, 3], [0, 1, 5, 4, BACKGROUND, 3]),
@@ -264,7 +277,11 @@ def test_the_report_by_hand() -> None:
         ("C", [31, 31], [31, 31]),
     ):
         found.add(seen_image(subset, labels, predicted))
-    tree = report(found)
+    return found
+
+
+def test_the_report_by_hand() -> None:
+    tree = report(by_hand())
     json.dumps(tree, allow_nan=False)
     assert list(tree["subsets"]) == ["C", "people", "hard"], "the paper's first"
     assert (tree["images"], tree["pixels"]) == (3, 11)
@@ -282,6 +299,59 @@ def test_the_report_by_hand() -> None:
     assert tree["confidence"]["ece"] == round(4 / 11, 5), "sure of everything"
     assert tree["thresholds"][0]["share_of_pixels"] == 1
     assert np.array(tree["confusion"]).sum() == 11
+
+
+def test_charts_show_the_numbers_of_the_report() -> None:
+    tree = report(by_hand())
+    groups, classes = [tree, *tree["subsets"].values()], tree["classes"]
+    upper, lower = draw_parts(tree).axes
+    for axis, bars, dots in (
+        (upper, groups, [(row["over_images"]["mean"], row["over_images"]["sd"]) for row in groups]),
+        (lower, classes, [(row["mean_over_images"], row["sd_over_images"]) for row in classes]),
+    ):
+        name = "average_per_class_accuracy" if axis is upper else "accuracy"
+        assert [bar.get_width() for bar in axis.patches] == [row[name] or 0 for row in bars]
+        known = [(y, mean, sd or 0) for y, (mean, sd) in enumerate(dots) if mean is not None]
+        (spreads,), middles = axis.collections, axis.lines[0]
+        assert list(zip(middles.get_ydata(), middles.get_xdata(), strict=True)) == [(y, mean) for y, mean, _ in known]
+        expected = [[(max(mean - sd, 0), y), (min(mean + sd, 1), y)] for y, mean, sd in known]
+        np.testing.assert_allclose(spreads.get_segments(), expected)
+        assert axis.yaxis.get_inverted()
+    confusion = draw_confusion(tree).axes[0]
+    shares = np.array(tree["confusion"]) / np.maximum(np.sum(tree["confusion"], axis=1, keepdims=True), 1)
+    np.testing.assert_array_equal(confusion.images[0].get_array(), shares)
+    texts = {(text.get_position()[::-1], text.get_text()) for text in confusion.texts}
+    assert texts == {((row, column), f"{100 * shares[row, column]:.0f}") for row, column in np.argwhere(shares)}
+    sides = np.isin(kinds_of(PARTS33), KINDS.index("left/right"))
+    borders = [((r + r2) / 2, (c + c2) / 2) for r, c, r2, c2 in _between(sides)]
+    middles = np.mean(confusion.collections[1].get_segments(), axis=1)[:, ::-1]
+    assert sorted(map(tuple, middles.tolist())) == sorted(borders)
+    curve, reliability = draw_confidence(tree).axes
+    np.testing.assert_array_equal(curve.lines[0].get_ydata(), tree["risk_coverage"]["risk"])
+    kept = tree["confidence"]["above_70_percent"]
+    assert (curve.lines[1].get_xdata()[0], curve.lines[1].get_ydata()[0]) == (1, 1 - kept["pixel_accuracy"])
+    assert [line.get_ydata()[0] for line in reliability.lines if len(line.get_xdata()) == 1] == [round(7 / 11, 5)]
+
+
+def _between(mask: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
+    """Neighbours of which one is in the mask: rows and columns of both."""
+    around = np.pad(mask, 1)
+    for row, column in np.ndindex(around.shape):
+        for end in ((row + 1, column), (row, column + 1)):
+            if max(end) < len(around) and around[row, column] != around[end]:
+                yield row - 1, column - 1, end[0] - 1, end[1] - 1
+
+
+def test_a_picture_tells_mistakes_and_what_is_dropped() -> None:
+    image = seen_image("A", [0, 0, 4, 4, BACKGROUND, 3], [0, 1, 5, 4, BACKGROUND, 3])
+    image = image._replace(confidence=np.array([[0.9, 0.8, 0.7, 0.2, 0.0, 0.9]], np.float32))
+    assert _caption(0.5, image, PARTS33) == (
+        "A-0. Average per-class accuracy 50.0 %; 75.0 % among the 60 % of pixels above 70 %"
+    )
+    mistakes, _, confident = _panels(image, PARTS33)[3:]
+    assert mistakes[0].tolist() == [list(each) for each in (_RIGHT, _SWAPPED, _SWAPPED, _RIGHT, EMPTY, _RIGHT)]
+    shown = [colour_labels(np.array([[label]], np.uint8))[0, 0].tolist() for label in (0, 1, 3)]
+    assert confident[0].tolist() == [shown[0], shown[1], list(_DROPPED), list(_DROPPED), list(EMPTY), shown[2]]
 
 
 def test_scores_stay_small() -> None:
