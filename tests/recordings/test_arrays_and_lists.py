@@ -80,6 +80,10 @@ def test_floating_point_is_metres(tmp_path: Path) -> None:
         (frame,) = find_frames([tmp_path / "a.npy"])
         assert frame.name == "a" and frame.member is None
         np.testing.assert_allclose(to_metres(frame.read(), frame.step_m)[0, :8], expected, atol=1.3e-4)
+    half = np.linspace(0.5, 16.3, 5000).astype(np.float16).reshape(50, 100)  # steps of it have no 16 bits of their own
+    np.save(tmp_path / "half.npy", half)
+    (frame,) = open_recording(tmp_path / "half.npy")
+    np.testing.assert_allclose(frame.read() * frame.step_m, half.astype(float), atol=1.3e-4)
     (frame,) = find_frames([tmp_path / "a.npy"], step_m=1e-3)  # floating point in millimetres
     assert to_metres(frame.read() * 1, frame.step_m)[0, 7] == pytest.approx(0.0165, abs=2e-4)
 
@@ -341,6 +345,14 @@ def test_arrays_of_several_names_are_asked_for(tmp_path: Path) -> None:
     np.savez(tmp_path / "b.npz", left_0=RAMP, left_1=RAMP, right_0=RAMP, right_1=RAMP)
     assert "choose one by --topic: left, right" in refusal(tmp_path / "b.npz")
     assert len(open_recording(tmp_path / "b.npz", "left")) == 2
+    (frame,) = open_recording(tmp_path / "b.npz", "left_1")
+    assert frame.where == f"{tmp_path / 'b.npz'}: left_1"
+    np.savez(tmp_path / "c.npz", depth1=STACK, depth2=STACK // 2)
+    assert "choose one by --topic: depth1, depth2" in refusal(tmp_path / "c.npz"), "each is a recording"
+    np.savez(tmp_path / "d.npz", frames=STACK, mean=RAMP, pose=np.eye(4), K=np.eye(5, dtype=np.uint8)[:4])
+    check_stack(tmp_path / "d.npz")
+    np.savez(tmp_path / "e.npz", first=RAMP, pose=np.eye(4))
+    assert len(open_recording(tmp_path / "e.npz")) == 1
 
 
 def test_pages_of_64_bits_are_metres(tmp_path: Path) -> None:
