@@ -55,6 +55,8 @@ def test_opencvs_terms_become_a_camera(folder: Path) -> None:
     lens = Distortion(k1=0.1, k2=-0.2, p1=0.01, p2=0.02, k3=0.03)
     assert camera.camera == Camera(30, 40, math.sqrt(50 * 50.2), (19.5, 14.5), *pose, distortion=lens)
     assert (camera.origin, camera.assumed) == (f"file {folder / '2.json'}", False)
+    with pytest.raises(BadConfig, match="must have 30 x 40 pixels, found 30 x 41"):
+        found.frame_camera((30, 41))
 
 
 def test_four_coefficients_lack_the_last_and_zeros_are_no_lens(folder: Path) -> None:
@@ -150,6 +152,27 @@ def test_frames_without_a_camera_of_their_own_share_one(folder: Path) -> None:
     assert [cameras.of(frame, (30, 40)) is cameras.common for frame in frames] == [False, True, True]
     assert cameras.first.camera.focal_px == 50 and cameras.bent
     assert (cameras.to_json()["focal_px"], cameras.to_json()["frames_with_their_own"]) == (99, 1)
+
+
+@pytest.mark.parametrize("given", [(None, 60.0, ()), (None, 60.0, (21.0, 16.0))])
+def test_a_camera_that_is_given_comes_before_files(folder: Path, given: Any) -> None:
+    write(folder / "cameras.json", {"default": PLAIN | {"distortion": [0.1, 0, 0, 0]}})
+    camera = frame_camera((30, 40), "", focal_px=99.0).camera
+    cameras = FrameCameras(find_frames([folder]), *given, Rig("frame", 1.0, camera, camera), Skipping())
+    found = cameras.of(find_frames([folder])[1], (30, 40)).camera
+    assert (found.focal_px, found.centre_px) == (60, given[2] or (20, 15)) and not cameras.bent
+    assert "frames_with_their_own" not in cameras.to_json()
+
+
+def test_the_lens_of_a_rig_is_that_of_all_frames_without_their_own(folder: Path) -> None:
+    rig = folder.parent / "bent.toml"
+    rig.write_text(
+        'format = "bodyseg rig 1"\nname = "bent"\n[camera]\nrows = 30\ncolumns = 40\nfocal_px = 50.0\n'
+        'centre_px = [20.0, 15.0]\n[camera.distortion]\nmodel = "brown_conrady"\nk1 = 0.1\n'
+    )
+    camera = frame_camera((30, 40), "", focal_px=99.0).camera
+    cameras = FrameCameras(find_frames([folder]), str(rig), None, (), Rig("frame", 1.0, camera, camera), Skipping())
+    assert cameras.bent and cameras.first.camera.distortion == Distortion(k1=0.1)
 
 
 def test_nothing_is_chosen_where_every_frame_has_its_own(folder: Path) -> None:
