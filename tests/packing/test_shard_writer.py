@@ -343,8 +343,12 @@ def test_scenes_may_be_made_where_they_are_encoded(own: bool, tmp_path: Path) ->
             writer.write_all(scenes, make)
         with ShardWriter(tmp_path / "set", **options) as writer:
             writer.write_all(scenes, make)
+        again = pytest.raises(BadSample, match="^scene-002: this key was written before$")
+        with again, ShardWriter(tmp_path / "twice", **options) as writer:
+            writer.write_all(dict(list(scenes.items())[:3]), make)
+            writer.write_all({"scene-002": 2}, make)
     assert files(whole) == files(tmp_path / "set")
-    assert {*made} == {*range(11)} and len(made) < 21, "what was written is not made anew"
+    assert {*made} == {*range(11)} and len(made) < 24, "what was written is not made anew"
 
 
 @pytest.mark.parametrize("late", [False, True])

@@ -188,8 +188,11 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
         ),
         ({"d": np.ones(8)}, "found 'plumb_bob' of 8"),
         ({"binning_x": 2}, "images must be neither binned nor cut"),
+        ({"binning_y": 2}, "images must be neither binned nor cut"),
         ({"roi": {"x_offset": 8}}, "images must be neither binned nor cut"),
+        ({"roi": {"y_offset": 8}}, "images must be neither binned nor cut"),
         ({"k": np.array([-1.0, 0, 1, 0, 1, 1, 0, 0, 1])}, "focal lengths must be above 0"),
+        ({"k": np.array([1.0, 0, 1, 0, 0, 1, 0, 0, 1])}, "focal lengths must be above 0, found 1 and 0"),
     ):
         with pytest.raises(BadConfig) as caught:
             camera_of(path, **wrong)
