@@ -58,6 +58,9 @@ def test_posture_is_kept(about: int, degrees: float) -> None:
     found = find_alignment(body, body[LIST], "auto", "auto", "a.ply")
     np.testing.assert_array_equal(found.rotation, np.eye(3))
     np.testing.assert_array_equal(found.apply(body), body)
+    moved = body + np.array([3.0, -4.0, 5.0])
+    aside = find_alignment(moved, moved[LIST], "auto", "auto", "a.ply")
+    assert aside.lean_deg == pytest.approx(found.lean_deg), "wherever the body stands"
     if about != 1:
         assert found.lean_deg == pytest.approx(abs(degrees), abs=10)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bodyseg_data.drawing import PAPER, draw_legend
+from bodyseg_data.drawing import EMPTY, PAPER, colour_range, colour_shares, contact_sheet, draw_legend
 from bodyseg_data.labels import PARTS33, LabelMap, classes_of, load_label_map, whole_map
 
 
@@ -17,6 +17,20 @@ def test_every_class_is_in_the_legend(label_map: LabelMap, width: int) -> None:
     assert legend.width == width
     shown = {tuple(colour) for colour in np.asarray(legend).reshape(-1, 3).tolist()}
     assert {tuple(colour) for colour in label_map.colours.tolist()} <= shown
+
+
+def test_ranges_are_light_near_and_dark_far_and_empty_where_there_is_none() -> None:
+    ramp = np.array([[0, 0, 0], [100, 200, 50], [200, 0, 255]])
+    shares = np.array([[-1.0, 0.0, 0.126, 0.5, 0.75, 1.0, 2.0]])
+    expected = [[0, 0, 0], [0, 0, 0], [25, 50, 13], [100, 200, 50], [150, 100, 152], [200, 0, 255], [200, 0, 255]]
+    assert colour_shares(shares, ramp)[0].tolist() == expected
+    light, middle, dark = (contact_sheet._RAMP[place].tolist() for place in (0, 3, 6))
+    for image in (np.array([[0, 1000, 2000, 3000]], np.uint16), np.array([[0, 1, 2, 3]], np.float32)):
+        assert colour_range(image)[0].tolist() == [list(EMPTY), light, middle, dark]
+        assert colour_range(image, far=image[0, 2])[0].tolist() == [list(EMPTY), light, dark, dark]
+        assert colour_range(image, near=image[0, 2])[0].tolist() == [list(EMPTY), light, light, dark]
+    assert contact_sheet.span_text(np.array([[0, 1500, 4000]], np.uint16), 0.0005) == "0.75 to 2.00 m"
+    assert contact_sheet.span_text(np.zeros((2, 2), np.uint16), 0.0005) == "nothing in view"
 
 
 def inked(legend: Image.Image) -> int:
