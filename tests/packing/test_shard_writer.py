@@ -105,19 +105,22 @@ def test_arrays_may_be_tensors_or_lists(kind: Callable[[Any], Any], tmp_path: Pa
     assert files(tmp_path / "plain") == files(tmp_path / "given")
 
 
-def test_a_projector_that_is_a_function_is_asked_for_what_is_needed(tmp_path: Path) -> None:
-    asked = []
+@pytest.mark.parametrize("rig", [RIG, TWO])
+def test_a_projector_that_is_a_function_is_asked_for_what_is_needed(rig: Rig, tmp_path: Path) -> None:
+    asked, given = [], scene()["projector_range_m"]
+    if rig is TWO:
+        given = np.concatenate([given, given[:, ::-1]])
 
     def projector(rows: Any, columns: Any) -> Any:
         asked.append(len(rows))
-        return scene()["projector_range_m"][rows, columns]
+        return given[rows, columns]
 
     for kind in ("shadow", "exact"):
         options = {"projector": kind}
-        one(tmp_path / f"{kind}-given", options=options)
-        one(tmp_path / f"{kind}-asked", options=options, projector_range_m=None, projector=projector)
+        one(tmp_path / f"{kind}-given", rig, options, projector_range_m=given)
+        one(tmp_path / f"{kind}-asked", rig, options, projector_range_m=None, projector=projector)
         assert files(tmp_path / f"{kind}-given") == files(tmp_path / f"{kind}-asked")
-    assert asked[0] < asked[1] == 24 * 30
+    assert sum(asked[:-1]) < asked[-1] == given.size
 
 
 def test_what_the_projector_sees_is_kept_as_asked(tmp_path: Path) -> None:
@@ -140,6 +143,9 @@ def test_facing_comes_from_bits_from_normals_or_from_the_range_image(tmp_path: P
     assert np.array_equal(one(tmp_path / "normals", normals=normals).faces_projector, measured)
     bits = np.indices((16, 20)).sum(axis=0) % 2 == 0
     assert np.array_equal(one(tmp_path / "bits", facing=bits).faces_projector, bits & measured)
+    both = one(tmp_path / "both", TWO, projector_range_m=None, facing=[bits, ~bits])
+    assert np.array_equal(both.faces_projector, bits & measured)
+    assert np.array_equal(both.faces_second, ~bits & measured)
     assert RangeImages(tmp_path / "range").manifest.renderer == "external, facing from range images"
     assert RangeImages(tmp_path / "bits").manifest.renderer == "external"
 
