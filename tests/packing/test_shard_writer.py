@@ -481,6 +481,41 @@ def test_a_list_of_what_are_no_numbers_is_refused(given: Any, tmp_path: Path) ->
         one(tmp_path / "set", fields={"frame": given})
 
 
+def test_facing_normals_and_functions_of_another_kind_are_one_line(tmp_path: Path) -> None:
+    bits, normals = np.ones((16, 20), bool), np.zeros((16, 20, 3))
+    normals[..., 2] = -1
+    holed = np.where(np.arange(3) == 1, np.nan, normals)
+    for number, (right, wrongs) in enumerate(
+        (
+            (
+                {"facing": bits},
+                [
+                    ({"facing": bits.astype(np.uint8)}, "facing must be bool [16, 20], found uint8 (16, 20)"),
+                    ({"facing": bits[1:]}, "facing must be bool [16, 20], found bool (15, 20)"),
+                    ({"facing": [bits, bits]}, "facing must be bool [16, 20], found bool (2, 16, 20)"),
+                ],
+            ),
+            (
+                {"normals": normals},
+                [
+                    ({"normals": normals.astype(int)}, "normals must be floats [16, 20, 3], found int64 (16, 20, 3)"),
+                    (
+                        {"normals": normals[..., :2].tolist()},
+                        "normals must be floats [16, 20, 3], found float64 (16, 2",
+                    ),
+                    ({"normals": holed}, "normals must be finite where range_m is above 0"),
+                ],
+            ),
+            ({}, [({"projector_range_m": None, "projector": 2.0}, "projector must be a function of rows and columns")]),
+        )
+    ):
+        with ShardWriter(tmp_path / str(number), rig=RIG, classes=CLASSES) as writer:
+            writer.write(**scene(**right))
+            for wrong, message in wrongs:
+                with pytest.raises(BadSample, match=f"^scene-001: {re.escape(message)}"):
+                    writer.write(**scene(1, **wrong))
+
+
 def test_normals_of_another_frame_are_seen(tmp_path: Path) -> None:
     normals = np.zeros((16, 20, 3))
     normals[..., 2] = 1
