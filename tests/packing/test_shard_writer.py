@@ -516,6 +516,12 @@ def test_facing_normals_and_functions_of_another_kind_are_one_line(tmp_path: Pat
                     writer.write(**scene(1, **wrong))
 
 
+def test_facing_of_two_projectors_is_of_both(tmp_path: Path) -> None:
+    rule = re.escape("scene-000: facing must be bool [2, 16, 20], found bool (16, 20)")
+    with pytest.raises(BadSample, match=f"^{rule}$"):
+        one(tmp_path / "set", TWO, projector_range_m=None, facing=np.ones((16, 20), bool))
+
+
 def test_normals_of_another_frame_are_seen(tmp_path: Path) -> None:
     normals = np.zeros((16, 20, 3))
     normals[..., 2] = 1

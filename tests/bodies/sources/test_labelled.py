@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ from small_rig import SMALL_FILE
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies import Body, open_source
+from bodyseg_data.bodies.given_labels import labels_of_colours, labels_of_numbers, labels_of_parts
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.labels import classes_of
-from bodyseg_data.meshes import cuboid
+from bodyseg_data.meshes import MeshContent, cuboid
 from bodyseg_data.shards import read_manifest
 
 BOX = cuboid((0.6, 1.0, 0.4), (0.0, 0.5, 0.0))
@@ -538,3 +540,41 @@ def test_every_pixel_has_the_class_of_what_it_shows(tmp_path: Path, soup: bool) 
         assert (labels == 1 - seen).sum() < (labels == seen).sum()
         lit = lit_images[at]["range"][0].numpy() > 0
         assert lit[labels == 2].mean() > 0.5
+
+
+QUADS = MeshContent(
+    np.array([[x, y, 0.0] for y in range(2) for x in range(4)]),
+    np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6]], np.int32),
+    np.array([0, 0, 1, 1, 2, 2]),
+)
+"""Three squares in a row, of two triangles each."""
+
+
+def test_numbers_are_of_vertices_of_polygons_or_of_triangles() -> None:
+    table = {5: "five", 6: "six", 9: "nine"}
+    for numbers, corners in (
+        ([5, 9, 6], [[0] * 3, [0] * 3, [2] * 3, [2] * 3, [1] * 3, [1] * 3]),
+        ([[5], [9], [6]], [[0] * 3, [0] * 3, [2] * 3, [2] * 3, [1] * 3, [1] * 3]),
+        ([5, 6, 9, 255, 5, 6], [[0] * 3, [1] * 3, [2] * 3, [-1] * 3, [0] * 3, [1] * 3]),
+        ([5, 6, 9, 5, 6, 9, 5, -1], [[0, 1, 2], [0, 2, 1], [1, 2, 0], [1, 0, 2], [2, 0, -1], [2, -1, 0]]),
+    ):
+        found = labels_of_numbers(np.array(numbers), QUADS, table, "a.npy")
+        assert found.names == ("five", "six", "nine") and found.corners.tolist() == corners
+
+
+def test_lists_of_vertices_may_share_some() -> None:
+    """A triangle is of the first list that holds it, else of those of its corners."""
+    lists = {"left": [0, 1, 4, 5], "middle": [1, 2, 5], "tip": [7], "again": [0, 1, 4, 5], "none": []}
+    found = labels_of_parts(lists, QUADS, "a.json")
+    assert found.corners.tolist() == [[0] * 3, [0] * 3, [0, 1, -1], [0, -1, 0], [1, -1, 2], [1, 2, -1]]
+    assert found.notes == ("6 vertices are in two parts: their triangles go by all three corners",)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1 / 255])
+def test_colours_are_of_polygons_in_bytes_or_shares(scale: float) -> None:
+    channels = np.array([[255, 0, 16], [0, 255, 1], [255, 0, 16]]) * scale
+    coloured = replace(QUADS, of_polygons=dict(zip(("red", "green", "blue"), channels.T, strict=True)))
+    found = labels_of_colours(coloured, {"#00ff01": "lamp", "#ff0010": "wall"}, "a.ply")
+    assert found.corners[:, 0].tolist() == [1, 1, 0, 0, 1, 1] and found.names == ("lamp", "wall")
+    with pytest.raises(BadMesh, match="^a.ply: the colour #00ff01, of number 1 of faces, is no class's"):
+        labels_of_colours(coloured, {"#ff0010": "wall"}, "a.ply")
