@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import GOLDEN
 from samples import GOOD
 
 from bodyseg_data import RangeImages
@@ -51,7 +52,7 @@ def test_fields_that_some_samples_lack_are_masked(tmp_path: Path) -> None:
         for number, info in enumerate(infos):
             sample = replace(GOOD, key=f"s{number}", info=info)
             shard.write(sample.key, encode_sample(sample))
-    rig = read_manifest(Path("tests/golden/format_7").absolute()).rig
+    rig = read_manifest(GOLDEN / "format_7").rig
     write_manifest(Manifest((rig,), "bsi", "renders", "", "", (shard.record,), fields=fields), tmp_path)
     table = RangeImages(tmp_path, "none").table()
     for name in ("n", "x", "on", "word", "pose"):
