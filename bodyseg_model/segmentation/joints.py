@@ -172,8 +172,7 @@ def found_joints(answer: Any) -> Records:
         found = "others" if answer.label_map is None else f"labels {answer.label_map.name!r}"
         raise BadConfig(f"joints are found from the {PART_COUNT} parts alone, found {found}")
     joints = np.zeros((len(answer.bodies), len(JOINTS)), JOINT)
-    if len(joints):
-        places, errors, seen = shipped_joint_map()(feature_points(answer, shipped_joint_map().codes))
-        joints["person"], joints["joint"] = np.arange(1, len(joints) + 1)[:, None], np.arange(len(JOINTS))
-        joints["position_m"], joints["error_m"], joints["seen"] = places, errors, seen
+    places, errors, seen = shipped_joint_map()(feature_points(answer, shipped_joint_map().codes))
+    joints["person"], joints["joint"] = np.arange(1, len(joints) + 1)[:, None], np.arange(len(JOINTS))
+    joints["position_m"], joints["error_m"], joints["seen"] = places, errors, seen
     return joints
