@@ -26,9 +26,9 @@ from strategies import same, samples
 from bodyseg_data.core import BadSample
 from bodyseg_data.samples import Sample
 from bodyseg_data.shards import CODECS, CodecName, check_checksums, encode_sample, read_chunks, read_header
-from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
+from bodyseg_data.shards.codecs.bodyseg_images import _is_smooth, decode_images, encode_images
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
-from bodyseg_data.shards.codecs.residuals import decode_copies, unzigzag, zigzag
+from bodyseg_data.shards.codecs.residuals import decode_copies, encode_copies, unzigzag, zigzag
 from bodyseg_data.shards.earlier import split_label_bytes
 from bodyseg_data.shards.sample_codec import decode_sample
 
@@ -675,3 +675,16 @@ def test_planes_of_many_regions_come_back_and_damage_is_refused() -> None:
             decode_copies(np.array([first + 3 * second], np.uint8), np.zeros(2 * count, np.uint8), (1, 2))
     with pytest.raises(ValueError, match="five pixels take 0 to 242, found 243"):
         decode_copies(np.array([243], np.uint8), np.zeros(0, np.uint8), (1, 2))
+
+
+def test_regions_take_a_number_each_and_projectors_ranges_the_shorter_form() -> None:
+    rows = np.repeat(np.arange(1, 13, dtype=np.uint16)[:, None], 20, axis=1)
+    for plane, numbers in ((rows, 12), (np.ascontiguousarray(rows.T), 12), (np.full((12, 20), 7, np.uint16), 1)):
+        packed, stored = encode_copies(plane)
+        assert (len(packed), len(stored)) == (-(-plane.size // 5), 2 * numbers)
+    down, across = np.indices((60, 80))
+    exact = (20000 + 3 * across + 5 * down).astype(np.uint16)
+    reduced = (64 * (100 + across + down)).astype(np.uint16)
+    assert _is_smooth(exact) and not _is_smooth(reduced), "multiples of powers of two"
+    assert not _is_smooth((20001 + 2 * (across // 8)).astype(np.uint16)), "of few changes"
+    assert not _is_smooth(np.zeros_like(exact))
