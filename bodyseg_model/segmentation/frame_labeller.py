@@ -43,6 +43,7 @@ TURNED_HELP: Final = "turn of the camera, by where heads point in frames: up 0, 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
 _MOST_LOOKED_AT: Final = 32  # frames of a recording; of a stream, its first ones, then one in `_SELDOM`
 _SELDOM: Final = 16
+_CAMERAS: Final = 64  # whose turns are kept: a lens that zooms is another camera in each frame
 _SURER: Final = 0.05
 _PERSON: Final = 0.65  # least mean confidence in a person; the network that ships has less on furniture
 
@@ -103,7 +104,7 @@ class FrameLabeller:
     mirrored: True if frames show left for right, as those of some drivers do.
     least_confidence: pixels of less confidence than this, 0 to 1, get no label. keep_things: label things, too.
     finder: network that finds people; by default the one that ships.
-    video: frames follow each other in time; labels are steadied by those of the frames before (`CarriedLabels`).
+    video: frames are one camera's and follow each other in time; labels are steadied by those before (`CarriedLabels`).
     backend, precision: what computes the networks (`on_backend`); by default torch in float32.
     flip_average: label the mirror image, too, and average. dense: as of `Segmenter`.
     device: "cpu", "cuda", "cuda:1" ...; by default a GPU if there is one.
@@ -152,7 +153,8 @@ class FrameLabeller:
             to_device(self._finder.network, device)
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
         self.tells_turn = turned == "auto"
-        self._turned, self._turns = turned, _Turns()  # of the frames of calls and of the stream
+        self._turned = turned
+        self._turns = lru_cache(maxsize=_CAMERAS)(lambda camera: _Turns())  # of its frames in calls and the stream
         self._segmenter = partial(
             Segmenter,
             self.trained,
@@ -177,10 +179,10 @@ class FrameLabeller:
     def quarters(self, camera: Camera, turns: _Turns | None = None) -> int:
         """Number of right angles by which the camera's frames are turned clockwise before they are labelled.
 
-        turns: of the camera's recording; by default of the frames of calls and of the stream.
+        turns: of the camera's recording; by default of its frames in calls and the stream.
         """
         if self.tells_turn:
-            return int((turns or self._turns).means().argmax())
+            return int((turns or self._turns(camera)).means().argmax())
         if self._turned is not None:
             return int(self._turned) // 90
         # As against the camera that the network was trained for, which may be turned itself.
@@ -223,7 +225,7 @@ class FrameLabeller:
 
     def restart(self, *, numbers: bool = True) -> None:
         """Begin another recording: no labels of `video` and no turn are carried over. numbers: people's begin at 1."""
-        self._turns = _Turns()
+        self._turns.cache_clear()
         if self.video is not None:
             self.video.restart(numbers=numbers)
 
@@ -255,10 +257,11 @@ class FrameLabeller:
                 range_m = given if not isinstance(given, Frame) else to_metres(given.read(), given.step_m)
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(metres_of(range_m, camera))
-            if self.tells_turn and self._turns.open:
-                self.judge(self._turns, ideal, segmenter.camera)
+            turns = self._turns(camera)
+            if self.tells_turn and turns.open:
+                self.judge(turns, ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
-            self._turns.frames += 1
+            turns.frames += 1
             found = segmenter.find(ideal)
         read_ms = watch.milliseconds[_READ]
         return partial(_label_found, where, segmenter, self.label_map, found, read_ms, number=number, frame=frame)

@@ -149,7 +149,7 @@ def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
     label = FrameLabeller(load_network(), keep_things=True, turned="auto", device="cpu")
     for frames in (1, 2):
         assert label(standing(), UPRIGHT).bodies and label.quarters(UPRIGHT) == 0
-        assert (label._turns.frames, label._turns.judged) == (frames, 0)
+        assert (label._turns(UPRIGHT).frames, label._turns(UPRIGHT).judged) == (frames, 0)
     judged: list[int] = []
     label.judge = lambda turns, range_m, camera: judged.append(turns.frames)  # type: ignore[method-assign]
     empty = np.full((60, 80), 4.0, np.float32)
@@ -184,6 +184,16 @@ def test_each_recording_and_stream_has_a_turn_of_its_own(tmp_path: Path) -> None
         (answer,) = label.stream([to_metres(frame, 1e-3)], camera)
         assert label.quarters(camera) == quarters
         assert (np.rot90(answer.labels, -quarters) == upright.labels)[upright.labels < 255].mean() > 0.98
+
+
+def test_each_camera_whose_frames_come_in_turns_has_a_turn_of_its_own() -> None:
+    label = FrameLabeller(load_network(), turned="auto", device="cpu")
+    camera, frame = label.rig.camera, to_metres(room(9, "none"), 1e-3)
+    for _ in range(2):
+        upright = label(frame, camera)
+        turned = label(seen_by(1, frame), as_mounted(1, camera))
+    assert [label.quarters(each) for each in (camera, as_mounted(1, camera))] == [0, 1]
+    assert (np.rot90(turned.labels, -1) == upright.labels)[upright.labels < 255].mean() > 0.98
 
 
 def test_a_turned_recording_is_told_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
