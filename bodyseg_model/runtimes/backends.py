@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
@@ -37,8 +38,8 @@ class RuntimeNetwork(Network):
     """A network whose scores a runtime computes; all else that takes a `Network` takes it, but it cannot be trained.
 
     identity: name and version of the runtime, and precision, as plain JSON. Threads are as many as torch may use when
-    scores are asked for; a session is kept for each number. Raises BadConfig for a precision that the runtime does not
-    have, MissingLibrary if the runtime is not installed.
+    scores are asked for; a process keeps a session for each number. Raises BadConfig for a precision that the runtime
+    does not have, MissingLibrary if the runtime is not installed.
     """
 
     together = False  # a runtime prepares for every shape of its input that it has not met
@@ -51,7 +52,7 @@ class RuntimeNetwork(Network):
         self.output_stride = model.facts.output_stride
         self.model = model
         self._runtime, self._graph = runtime, scores_part(model.graph).SerializeToString()
-        self._sessions: dict[int, Runtime] = {}
+        self._sessions: dict[tuple[int, int], Runtime] = {}  # by process and number of threads
         self.identity: dict[str, Any] = {
             "backend": name,
             "version": str(runtime.loaded().__version__),
@@ -66,10 +67,11 @@ class RuntimeNetwork(Network):
         if torch.onnx.is_in_onnx_export():  # the trace would hold the example's scores
             raise BadConfig("its graph is there already, as its attribute `model`, which write_onnx takes")
         threads = torch.get_num_threads()
+        own = os.getpid(), threads  # a fork has none of its parent's threads, and may have its locks
         try:
-            if threads not in self._sessions:
-                self._sessions[threads] = self._runtime(self._graph, self._precision, threads)
-            found = self._sessions[threads].scores(range_m.detach().cpu().float().contiguous().numpy())
+            if own not in self._sessions:
+                self._sessions[own] = self._runtime(self._graph, self._precision, threads)
+            found = self._sessions[own].scores(range_m.detach().cpu().float().contiguous().numpy())
         except Exception as error:  # of the runtime's own kinds
             text = " ".join(str(error).split())
             why = f"it asks for more than {MOST_BYTES} bytes" if "vailable memory" in text else text[:300]

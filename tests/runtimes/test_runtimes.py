@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import warnings
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
@@ -104,6 +106,22 @@ def test_threads_that_share_a_network_get_their_own_scores(backend: str) -> None
     with ThreadPoolExecutor(4) as threads:
         found = list(threads.map(network.scores, 50 * images))
     assert all(torch.equal(scores, expected[number % 4]) for number, scores in enumerate(found))
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_a_fork_computes_though_a_thread_of_its_parent_was_about_to() -> None:
+    pytest.importorskip("openvino")
+    network, image = on_backend(load_network().network, "openvino"), torch.ones(1, 1, 64, 64)
+    expected = network.scores(image)
+    assert isinstance(network, RuntimeNetwork)
+    (session,) = network._sessions.values()
+    with session._one_at_a_time:  # type: ignore[attr-defined]
+        child = os.fork()
+        if child == 0:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(30)  # ends a hang
+            os._exit(int(torch.equal(network.scores(image), expected)))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
 
 
 def test_batch_normalisation_is_folded_into_convolutions() -> None:
