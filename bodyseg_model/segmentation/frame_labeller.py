@@ -31,7 +31,7 @@ from bodyseg_model.segmentation.segmenter import (
 from bodyseg_model.segmentation.views import Undistortion, metres_of
 
 _READ: Final = "read"
-_KEPT: Final = 4  # segmenters that are kept: an undistortion takes as much memory as several frames
+_KEPT: Final = 8  # segmenters that are kept: an undistortion takes as much memory as several frames
 
 _END: Final = object()
 

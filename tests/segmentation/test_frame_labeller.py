@@ -21,7 +21,7 @@ from bodyseg_data.labels import BACKGROUND, PARTS33, load_label_map
 from bodyseg_data.rigs import Camera, Distortion, load_rig
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import Frame, LiveRecording, find_frames
-from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmenter
+from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmenter, frame_labeller
 from bodyseg_model.segmentation.segmenter import LEAST_CONFIDENCE, STAGES
 from bodyseg_model.segmentation.views import Undistortion
 
@@ -104,6 +104,16 @@ def test_a_camera_with_distortion_has_its_frames_undistorted() -> None:
         np.testing.assert_array_equal(found.range_m, lens(standing(30)))
         np.testing.assert_array_equal(found.labels != BACKGROUND, found.range_m == 2)
         assert found.camera == lens.camera
+
+
+def test_eight_cameras_may_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To make a lens anew takes as long as half a frame."""
+    lenses: list[Camera] = []
+    monkeypatch.setattr(frame_labeller, "Undistortion", lambda camera: lenses.append(camera) or Undistortion(camera))
+    label, cameras = labeller(), [replace(BENT, focal_px=100.0 + number) for number in range(8)]
+    for camera in 2 * cameras:
+        label(standing(30), camera)
+    assert lenses == cameras
 
 
 @pytest.mark.parametrize("ahead", [False, True])
