@@ -274,7 +274,7 @@ def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) 
     hook = register_module_parameter_registration_hook(count)
     try:
         with reported(str(where), BadConfig):
-            return build(name, settings)
+            return build(name, settings).to("cpu", torch.float32)  # whatever torch's defaults are
     finally:
         hook.remove()
 

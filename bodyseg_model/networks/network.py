@@ -304,9 +304,12 @@ def _by_loops(range_m: torch.Tensor, side: int, layers: torch.dtype, focal_px: f
     loops = import_module("bodyseg_model.networks.patch_loops")
     images, _, rows, columns = range_m.shape
     cells = images, -(-rows // side), -(-columns // side)
-    values, measured = torch.empty((*cells, 2 * side**2 + (MEASURES if focal_px else 0))), torch.empty(cells)
+    values, measured = (
+        torch.empty(shape, dtype=torch.float32, device="cpu")
+        for shape in ((*cells, 2 * side**2 + (MEASURES if focal_px else 0)), cells)
+    )
     metres = range_m[:, 0].contiguous().numpy()
-    count = torch.tensor([np.count_nonzero(image > 0) for image in metres], dtype=torch.float32)
+    count = torch.from_numpy(np.array([np.count_nonzero(image > 0) for image in metres], np.float32))
     mean = body_mean(range_m, count.view(images, 1, 1, 1)).view(images)
     settings = np.float32(RELIEF), side, np.float32(focal_px)
     loops.cut_patches(metres, mean.numpy(), *settings, values.numpy(), measured.numpy())

@@ -221,7 +221,7 @@ def folded(network: Network) -> Network:
     """
     if network.training or not any(_normalised_convolutions(module) for module in network.modules()):
         return network
-    example = torch.linspace(1, 4, 64 * 64, device=device_of(network)).reshape(1, 1, 64, 64)
+    example = torch.linspace(1, 4, 64 * 64, dtype=torch.float32, device=device_of(network)).reshape(1, 1, 64, 64)
     try:
         with torch.no_grad(), torch.autocast(example.device.type, enabled=False):
             found = copy.deepcopy(network)

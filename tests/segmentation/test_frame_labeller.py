@@ -19,7 +19,7 @@ from small_rig import SMALL
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PARTS33, load_label_map
 from bodyseg_data.rigs import Camera, Distortion, load_rig
-from bodyseg_model.networks import Trained
+from bodyseg_model.networks import Trained, load_network
 from bodyseg_model.recordings import Frame, LiveRecording, find_frames
 from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmenter, frame_labeller
 from bodyseg_model.segmentation.segmenter import LEAST_CONFIDENCE, STAGES
@@ -104,6 +104,24 @@ def test_a_camera_with_distortion_has_its_frames_undistorted() -> None:
         np.testing.assert_array_equal(found.range_m, lens(standing(30)))
         np.testing.assert_array_equal(found.labels != BACKGROUND, found.range_m == 2)
         assert found.camera == lens.camera
+
+
+def test_a_program_may_have_other_defaults_of_torch() -> None:
+    """As float64 in robot kinematics, or a GPU, for which another device stands here."""
+    frame, label = standing(30), FrameLabeller(load_network(), device="cpu")
+    expected = label(frame, CAMERA)
+    torch.set_default_dtype(torch.float64)
+    try:
+        other = FrameLabeller(load_network(), device="cpu")
+        found = [other(frame, CAMERA)]
+    finally:
+        torch.set_default_dtype(torch.float32)
+    with torch.device("meta"):
+        found.append(label(frame, CAMERA))
+    assert str(other.trained.network) == str(label.trained.network), "also of folded layers"
+    for each in found:
+        np.testing.assert_array_equal(each.labels, expected.labels)
+        np.testing.assert_array_equal(each.confidence, expected.confidence)
 
 
 def test_eight_cameras_may_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
