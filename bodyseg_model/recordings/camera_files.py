@@ -64,7 +64,7 @@ class FrameCameras:
         trained: Rig,
         skipping: Skipping,
     ) -> None:
-        given = rig is not None or focal_px is not None or bool(centre_px)
+        given = rig is not None or focal_px is not None or len(centre_px) > 0
         beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
         self._own = {frame: own for frame, own in zip(frames, beside, strict=True) if own is not None}
         others = [frame for frame in frames if frame not in self._own]

@@ -88,7 +88,7 @@ def frame_camera(
     """
     rows, columns = shape
     if rig is not None:
-        if focal_px is not None or centre_px:
+        if focal_px is not None or len(centre_px):
             raise BadConfig("give either --rig or --focal and --centre")
         sensor = load_sensor(rig)
         camera = sensor.camera
@@ -101,10 +101,10 @@ def frame_camera(
     if len(centre_px) not in (0, 2):
         raise BadConfig(f"--centre takes two numbers, x and y, found {len(centre_px)}")
     if focal_px is not None:
-        x, y = centre_px or (columns / 2, rows / 2)
+        x, y = map(float, centre_px) if len(centre_px) else (columns / 2, rows / 2)
         check_intrinsics(focal_px, (x, y), shape, f"--focal and --centre, {where}")
         return FrameCamera(Camera(rows, columns, focal_px, (x, y), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), "given")
-    if centre_px:
+    if len(centre_px):
         raise BadConfig("--centre needs --focal")
     sensors = assumed_sensors()
     named = trained is None or trained.camera in [sensor.camera for sensor in sensors]

@@ -276,6 +276,16 @@ def test_a_recording_is_labelled_from_its_path(tmp_path: Path) -> None:
         label.recording([])
 
 
+def test_a_camera_may_be_given_by_the_matrix_of_a_calibration(tmp_path: Path) -> None:
+    matrix = np.array([[100, 0, 37], [0, 100, 31], [0, 0, 1]], np.float32)
+    opened = labeller().recording(
+        recording(tmp_path / "frames", 20),
+        focal_px=matrix[0, 0],
+        centre_px=matrix[:2, 2],  # type: ignore[arg-type]
+    )
+    assert opened.cameras.first.camera == replace(CAMERA, centre_px=(37.0, 31.0))
+
+
 def test_frames_that_cannot_be_read_are_skipped_and_listed(tmp_path: Path) -> None:
     folder = recording(tmp_path / "frames", 20, 24, 28)
     (folder / "1.png").write_bytes(b"no picture")
