@@ -304,16 +304,13 @@ def _by_loops(range_m: torch.Tensor, side: int, layers: torch.dtype, focal_px: f
     loops = import_module("bodyseg_model.networks.patch_loops")
     images, _, rows, columns = range_m.shape
     cells = images, -(-rows // side), -(-columns // side)
-    values, measured = (
-        torch.empty(shape, dtype=torch.float32, device="cpu")
-        for shape in ((*cells, 2 * side**2 + (MEASURES if focal_px else 0)), cells)
-    )
+    values, share = range_m.new_empty((*cells, 2 * side**2 + (MEASURES if focal_px else 0))), range_m.new_empty(cells)
     metres = range_m[:, 0].contiguous().numpy()
-    count = torch.from_numpy(np.array([np.count_nonzero(image > 0) for image in metres], np.float32))
+    count = range_m.new_tensor([np.count_nonzero(image > 0) for image in metres])
     mean = body_mean(range_m, count.view(images, 1, 1, 1)).view(images)
     settings = np.float32(RELIEF), side, np.float32(focal_px)
-    loops.cut_patches(metres, mean.numpy(), *settings, values.numpy(), measured.numpy())
-    return Patches(values.permute(0, 3, 1, 2).to(layers), measured[:, None])
+    loops.cut_patches(metres, mean.numpy(), *settings, values.numpy(), share.numpy())
+    return Patches(values.permute(0, 3, 1, 2).to(layers), share[:, None])
 
 
 def _unshuffled(x: torch.Tensor, side: int) -> torch.Tensor:

@@ -58,7 +58,6 @@ class RuntimeNetwork(Network):
             "version": str(runtime.loaded().__version__),
             "precision": precision,
         }
-        self._precision: Precision = precision
         self.eval()
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
@@ -66,11 +65,10 @@ class RuntimeNetwork(Network):
         check_range_images(range_m)
         if torch.onnx.is_in_onnx_export():  # the trace would hold the example's scores
             raise BadConfig("its graph is there already, as its attribute `model`, which write_onnx takes")
-        threads = torch.get_num_threads()
-        own = os.getpid(), threads  # a fork has none of its parent's threads, and may have its locks
+        own = os.getpid(), torch.get_num_threads()  # a fork has none of its parent's threads, and may have its locks
         try:
             if own not in self._sessions:
-                self._sessions[own] = self._runtime(self._graph, self._precision, threads)
+                self._sessions[own] = self._runtime(self._graph, self.identity["precision"], threads=own[1])
             found = self._sessions[own].scores(range_m.detach().cpu().float().contiguous().numpy())
         except Exception as error:  # of the runtime's own kinds
             text = " ".join(str(error).split())

@@ -31,7 +31,7 @@ from bodyseg_model.segmentation.segmenter import (
 from bodyseg_model.segmentation.views import Undistortion, metres_of
 
 _READ: Final = "read"
-_KEPT: Final = 8  # segmenters that are kept: an undistortion takes as much memory as several frames
+_KEPT: Final = 16  # cameras whose segmenters and turns are kept: an undistortion takes as much as several frames
 
 _END: Final = object()
 
@@ -43,7 +43,6 @@ TURNED_HELP: Final = "turn of the camera, by where heads point in frames: up 0, 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
 _MOST_LOOKED_AT: Final = 32  # frames of a recording; of a stream, its first ones, then one in `_SELDOM`
 _SELDOM: Final = 16
-_CAMERAS: Final = 64  # whose turns are kept: a lens that zooms is another camera in each frame
 _SURER: Final = 0.05
 _PERSON: Final = 0.65  # least mean confidence in a person; the network that ships has less on furniture
 
@@ -152,9 +151,8 @@ class FrameLabeller:
             self._finder = put_on_backend(finder or shipped_finder(), backend, precision)
             to_device(self._finder.network, device)
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
-        self.tells_turn = turned == "auto"
         self._turned = turned
-        self._turns = lru_cache(maxsize=_CAMERAS)(lambda camera: _Turns())  # of its frames in calls and the stream
+        self._turns = lru_cache(maxsize=_KEPT)(lambda camera: _Turns())  # of its frames in calls and the stream
         self._segmenter = partial(
             Segmenter,
             self.trained,
@@ -181,7 +179,7 @@ class FrameLabeller:
 
         turns: of the camera's recording; by default of its frames in calls and the stream.
         """
-        if self.tells_turn:
+        if self._turned == "auto":
             return int((turns or self._turns(camera)).means().argmax())
         if self._turned is not None:
             return int(self._turned) // 90
@@ -258,7 +256,7 @@ class FrameLabeller:
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(metres_of(range_m, camera))
             turns = self._turns(camera)
-            if self.tells_turn and turns.open:
+            if self._turned == "auto" and turns.open:
                 self.judge(turns, ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
             turns.frames += 1
@@ -326,7 +324,7 @@ class LabelledRecording:
         self.labeller, self.frames, self.cameras, self._skipping = labeller, frames, cameras, skipping
         self._turns = _Turns()
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
-        if labeller.tells_turn:
+        if labeller._turned == "auto":
             self._turns = self._judged()
 
     def __len__(self) -> int:
@@ -448,8 +446,7 @@ def _label_found(
         answer = segmenter.label(found)
     if segmenter.label_map is not label_map:
         answer = answer.joined(label_map)
-    times = {_READ: read_ms, **answer.milliseconds}
-    fields = {**vars(answer), **of_frame, "milliseconds": times}
+    fields = {**vars(answer), **of_frame, "milliseconds": {_READ: read_ms, **answer.milliseconds}}
     return LabelledFrame(**fields)
 
 

@@ -124,11 +124,11 @@ def test_a_program_may_have_other_defaults_of_torch() -> None:
         np.testing.assert_array_equal(each.confidence, expected.confidence)
 
 
-def test_eight_cameras_may_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sixteen_cameras_may_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     """To make a lens anew takes as long as half a frame."""
     lenses: list[Camera] = []
     monkeypatch.setattr(frame_labeller, "Undistortion", lambda camera: lenses.append(camera) or Undistortion(camera))
-    label, cameras = labeller(), [replace(BENT, focal_px=100.0 + number) for number in range(8)]
+    label, cameras = labeller(), [replace(BENT, focal_px=100.0 + number) for number in range(16)]
     for camera in 2 * cameras:
         label(standing(30), camera)
     assert lenses == cameras
