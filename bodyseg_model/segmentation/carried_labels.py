@@ -205,7 +205,6 @@ class CarriedLabels:
         cells, known = list(map(self._cells, seen, lenses)), []
         middles = list(map(_middle, cells))
         pairs = _nearest(middles, dict(enumerate(_middle(body) for body, *_ in last.bodies)) if last else {})
-        self._track(middles, pairs)
         for body, lens, own, number in zip(seen, lenses, cells, pairs, strict=True):
             rigid, field, gain = _UNMOVED, np.zeros_like(own.points), 0.0
             old, rule = new, self._rule(_NOWHERE)
@@ -218,6 +217,7 @@ class CarriedLabels:
                 old = last.images
             self._carry(body, lens, rigid, field, own.grid, old, rule, new)
             known.append((own, lens, gain))
+        self._track(middles, pairs)  # last, as is the frame: an interrupt before leaves both as they were
         self._last = _LastFrame(camera, new, known)
         return new.shown.reshape(labels.shape).copy()
 

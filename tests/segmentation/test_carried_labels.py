@@ -196,6 +196,18 @@ def test_a_body_that_comes_near_another_one_takes_no_number_of_it(
     assert [tracks_of(carried, *places_m) for places_m in frames][-1] == expected
 
 
+def test_an_interrupted_frame_exchanges_no_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    carried = CarriedLabels()
+    assert tracks_of(carried, 0.02) == [1]
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(carried, "_carry", interrupt)
+        tracks_of(carried, 0.3, 0.0)
+    assert tracks_of(carried, 0.3, 0.0) == [2, 1], "as if it had not come"
+
+
 def test_bodies_keep_their_numbers_where_each_frame_has_a_camera_of_its_own() -> None:
     carried = CarriedLabels()
     assert tracks_of(carried, -0.4, 0.4) == [1, 2]
