@@ -163,7 +163,8 @@ class FrameLabeller:
             finder=None if self._finder is None else self._finder.network,
             dense=dense,
         )
-        self._segmenters = lru_cache(maxsize=_KEPT)(self._new_segmenter)
+        # Of no method of its own, so that a labeller that nobody holds any more leaves no networks in memory.
+        self._segmenters = lru_cache(maxsize=_KEPT)(partial(_with_lens, partial(self._segmenter, video=self.video)))
 
     def __repr__(self) -> str:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
@@ -200,10 +201,6 @@ class FrameLabeller:
         if surest.max() >= _PERSON:
             turns.judged += 1
             turns.confidence += surest
-
-    def _new_segmenter(self, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
-        lens = None if camera.distortion is None else Undistortion(camera)
-        return lens, self._segmenter(camera if lens is None else lens.camera, quarters=quarters, video=self.video)
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
         """Label one frame.
@@ -310,6 +307,11 @@ class FrameLabeller:
             "device": str(device_of(self.trained.network)),
             "runtime": backend_of(self.trained.network),
         }
+
+
+def _with_lens(segmenter: Any, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
+    lens = None if camera.distortion is None else Undistortion(camera)
+    return lens, segmenter(camera if lens is None else lens.camera, quarters=quarters)
 
 
 class LabelledRecording:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import threading
+import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -122,6 +124,19 @@ def test_a_program_may_have_other_defaults_of_torch() -> None:
     for each in found:
         np.testing.assert_array_equal(each.labels, expected.labels)
         np.testing.assert_array_equal(each.confidence, expected.confidence)
+
+
+def test_a_labeller_that_nobody_holds_is_gone_at_once() -> None:
+    """Its networks and a runtime's sessions take much memory, of which Python's collector of cycles knows nothing."""
+    label = labeller(video=True)
+    assert label(standing(30), BENT).bodies
+    gone = weakref.ref(label)
+    gc.disable()
+    try:
+        del label
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_sixteen_cameras_may_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
