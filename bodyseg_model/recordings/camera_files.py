@@ -72,8 +72,8 @@ class FrameCameras:
         other = first_readable(others, skipping) if others else None
         self.common = None
         if other is not None:
-            self.common = frame_camera(_shape(other), other.where, rig, focal_px, centre_px, trained)
-        self.first = self.of(first, _shape(first))
+            self.common = frame_camera(other.read().shape, other.where, rig, focal_px, centre_px, trained)
+        self.first = self.of(first, first.read().shape)
         common = None if self.common is None else self.common.camera.distortion
         self.bent = any(lens is not None for lens in (common, *(own.lens for own in self._own.values())))
 
@@ -89,11 +89,6 @@ class FrameCameras:
         """The common camera, and how many frames have their own, as plain JSON."""
         common = {"origin": "each frame's own"} if self.common is None else self.common.to_json()
         return {**common, **({"frames_with_their_own": len(self._own)} if self._own else {})}
-
-
-def _shape(frame: Frame) -> tuple[int, int]:
-    rows, columns = frame.read().shape
-    return rows, columns
 
 
 def _shared(where: Path) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
