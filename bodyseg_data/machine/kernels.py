@@ -35,6 +35,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary, check_choice
 from bodyseg_data.files import cache_folder
 from bodyseg_data.machine.host import processors
 from bodyseg_data.machine.libraries import required
+from bodyseg_data.machine.threads import signals_held
 
 VARIABLE: Final = "BODYSEG_KERNELS"
 _CHOICES: Final = ("auto", "numpy", "compiled")
@@ -137,6 +138,7 @@ class _Kept:
             if found is None:
                 # Without the lock, numba would give one type's code to another where two processes save at once.
                 self._until_saved.enter_context(_locked(folder / _COMPILING, wait=True))
+                self._until_saved.enter_context(signals_held(only_first=True))  # as below
                 found = self.kept(signature, context)  # which another process may have made meanwhile
             if found is not None:
                 self._until_saved.close()
@@ -158,6 +160,7 @@ class _Kept:
                 return None
         raise NotYet
 
+    @signals_held()  # numba's compiler has Python called by C, which would lose an interrupt
     def kept(self, signature: Any, context: Any) -> Any:
         """Machine code that is on disk, or None. Files that a power cut has cut short are removed."""
         if self.files is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ import numba
 import pytest
 from kernel_forms import computed_by
 from numba.core.caching import FunctionCache
+from numba.core.registry import cpu_target
 
 from bodyseg_data import RangeImages, example_set
 from bodyseg_data.artifacts import fused_loops
@@ -226,6 +228,29 @@ def test_a_folder_may_be_named(sources: Path, tmp_path: Path, monkeypatch: pytes
     assert answer(sources) == 1024
     assert list((tmp_path / "named").rglob("*.nbc")) and not kept(tmp_path)
     assert str(tmp_path / "named") == numba.config.CACHE_DIR
+
+
+def test_an_interrupt_while_a_loop_is_compiled_comes_when_it_is_kept(
+    sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where C calls Python, as here, it would be lost."""
+    engine, came = cpu_target.target_context.codegen()._engine._ee, list[Any]()
+    notify = engine._object_cache_notify
+
+    def interrupted(module: Any, code: bytes) -> None:
+        if module.name == "_inner" and not came:
+            came.append(module)
+            signal.raise_signal(signal.SIGINT)
+        notify(module, code)
+
+    monkeypatch.setattr(engine, "_object_cache_notify", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            answer(sources)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert came and kept(tmp_path)
 
 
 def test_processes_that_start_at_once_agree(sources: Path, tmp_path: Path) -> None:
