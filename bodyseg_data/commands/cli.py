@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol
 
 from bodyseg_data.commands.options import parse, version_line
 from bodyseg_data.core import BadConfig, BodysegError, reported
-from bodyseg_data.machine import wait_briefly
+from bodyseg_data.machine import signals_held, wait_briefly
 
 Commands = Mapping[str, tuple[str, str]]
 
@@ -157,11 +157,8 @@ def load_command(place: str) -> Command:
     """Import the command at a place of `COMMANDS`."""
     module, _, name = place.partition(":")
     # Raised while PyTorch is imported, an interrupt can end in C++, which aborts the process.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-    try:
+    with signals_held():
         found = importlib.import_module(module)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return getattr(found, name) if name else found
 
 
