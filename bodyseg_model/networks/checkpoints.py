@@ -273,7 +273,7 @@ def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) 
 
     hook = register_module_parameter_registration_hook(count)
     try:
-        with reported(str(where), BadConfig):
+        with reported(str(where), BadConfig), torch.random.fork_rng([]):  # the caller's random numbers go on
             return build(name, settings).to("cpu", torch.float32)  # whatever torch's defaults are
     finally:
         hook.remove()

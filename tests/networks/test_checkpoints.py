@@ -42,7 +42,9 @@ def test_a_network_comes_back_as_it_was(tmp_path: Path, name: str, settings: dic
     network = build(name, settings).eval()
     save_network(tmp_path / "network.safetensors", network, name, {"variant": "occ", "seed": 3})
     for path in (tmp_path, tmp_path / "network.safetensors"):
+        numbers = torch.get_rng_state()
         trained = load_network(path)
+        assert torch.equal(torch.get_rng_state(), numbers), "a training goes on as if nothing were loaded"
         assert trained.card["variant"] == "occ"
         assert settings.items() <= trained.card["settings"].items()
         assert not trained.network.training
