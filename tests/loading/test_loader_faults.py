@@ -301,9 +301,7 @@ two = [loader(RangeImages(sys.argv[1], "none"), 3, int(sys.argv[3]), worker_meth
 passes = [iter(batches) for batches in two]
 while True:
     for number, batches in enumerate(two):
-        try:
-            next(passes[number])
-        except StopIteration:
+        if next(passes[number], None) is None:
             passes[number] = iter(batches)
     if len(passes) == 2:
         passes.append(None)

@@ -220,7 +220,7 @@ def test_verify_ends_tidily_whatever_a_manifest_holds(tmp_path: Path, capsys: py
 
 
 _PICKLES = {"pickle", "_pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "pandas"}
-_LOADERS = {("torch", "load"), ("np", "load"), ("numpy", "load"), ("yaml", "load"), ("torch", "jit")}
+_LOADERS = {"torch.load", "torch.jit.load", "jit.load", "np.load", "numpy.load", "yaml.load"}
 
 
 def pickles_in(text: str) -> list[str]:
@@ -235,8 +235,8 @@ def pickles_in(text: str) -> list[str]:
             plain |= {id(node.func), *map(id, node.keywords)}
         elif id(node) in plain:
             continue
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            found += [f"{node.value.id}.{node.attr}"] * ((node.value.id, node.attr) in _LOADERS)
+        elif isinstance(node, ast.Attribute) and ast.unparse(node) in _LOADERS:
+            found.append(ast.unparse(node))
         elif isinstance(node, ast.keyword) and node.arg == "allow_pickle":
             found.append("allow_pickle")
         elif isinstance(node, ast.Name) and node.id in ("eval", "exec"):
