@@ -96,6 +96,8 @@ def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> An
     """
     function = required("numba", feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
     function._cache = _Kept(loops)
+    # The compiler has Python called by C, which would lose an interrupt.
+    function.compile = signals_held(only_first=True)(function.compile)
     return function
 
 
@@ -138,7 +140,6 @@ class _Kept:
             if found is None:
                 # Without the lock, numba would give one type's code to another where two processes save at once.
                 self._until_saved.enter_context(_locked(folder / _COMPILING, wait=True))
-                self._until_saved.enter_context(signals_held(only_first=True))  # as below
                 found = self.kept(signature, context)  # which another process may have made meanwhile
             if found is not None:
                 self._until_saved.close()
@@ -160,7 +161,6 @@ class _Kept:
                 return None
         raise NotYet
 
-    @signals_held()  # numba's compiler has Python called by C, which would lose an interrupt
     def kept(self, signature: Any, context: Any) -> Any:
         """Machine code that is on disk, or None. Files that a power cut has cut short are removed."""
         if self.files is not None:

@@ -253,6 +253,14 @@ def test_an_interrupt_while_a_loop_is_compiled_comes_when_it_is_kept(
     assert came and kept(tmp_path)
 
 
+def test_a_loop_that_cannot_be_compiled_leaves_the_handlers_of_signals(sources: Path) -> None:
+    (sources / "inner.py").write_text(INNER.replace("x + 3", "unknown(x)"))
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(numba.errors.TypingError):
+        answer(sources)
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
 def test_processes_that_start_at_once_agree(sources: Path, tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(sources)}
     # Each of two types is first in one of them: numba alone may keep one's code as the other's.
