@@ -141,14 +141,16 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame,
     for part in parts:
         opened = open_recording(part, topic, step_m)
         sequence = frames[-1].sequence if frames else 0
-        if frames and opened[0].member is not None and not _goes_on(frames[-1], opened[0]):
+        if frames and not _goes_on(frames[-1], opened[0]):
             sequence += 1
         frames += [replace(frame, sequence=sequence) for frame in opened]
     return tuple(frames)
 
 
 def _goes_on(before: Frame, frame: Frame) -> bool:
-    """True if a frame was taken soon after another, as where a recorder begins its next file."""
+    """True if a frame was taken soon after another, as where a recorder begins its next file, or each is a file."""
+    if before.member is frame.member is None:
+        return True
     return before.time_s is not None and frame.time_s is not None and 0 <= frame.time_s - before.time_s <= _PAUSE_S
 
 

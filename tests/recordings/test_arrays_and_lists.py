@@ -178,6 +178,9 @@ def test_recordings_in_a_folder_go_on_where_their_times_do(tmp_path: Path) -> No
     np.save(tmp_path.parent / "other.npy", STACK[:2])
     found = find_frames([tmp_path, tmp_path.parent / "other.npy"])
     assert [frame.sequence for frame in found] == [1, 1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
+    np.save(tmp_path / "7.npy", STACK[0])
+    np.save(tmp_path / "8.npy", STACK[1])
+    assert [frame.sequence for frame in open_recording(tmp_path)][10:] == [4, 4, 5, 5]
 
 
 def test_a_folder_of_recordings_is_one(tmp_path: Path) -> None:
