@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import Field, asdict, dataclass, replace
-from types import FunctionType
+from types import CellType, FunctionType
 from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
@@ -148,7 +148,8 @@ def _checked(given: Any) -> Transform:
     if isinstance(given, FunctionType):
         if given.__name__ == "<lambda>":
             raise BadConfig(f"a transform must have a name: use a function of a module, found {_name_of(given)}")
-        if any(isinstance(cell.cell_contents, int | float | str) for cell in given.__closure__ or ()):
+        around = [cell.cell_contents for cell in given.__closure__ or () if cell != CellType()]  # some may be empty yet
+        if any(isinstance(each, int | float | str) for each in around):
             raise BadConfig(f"a transform with parameters must be a class, found the function {_name_of(given)}")
         return FunctionTransform(given)
     if isinstance(given, type) or not callable(given) or not isinstance(getattr(given, "name", None), str):

@@ -289,6 +289,18 @@ def test_what_is_no_transform_is_refused(figures_set: Path, given: Any, message:
         RangeImages(figures_set, transform=given)
 
 
+def test_a_function_may_name_what_its_function_defines_later(figures_set: Path) -> None:
+    def same(image: CameraImage, random: np.random.Generator) -> CameraImage:
+        return later(image)
+
+    images = RangeImages(figures_set, transform=same)
+
+    def later(image: CameraImage) -> CameraImage:
+        return image
+
+    assert images.image(0).range.any()
+
+
 def test_the_examples_of_the_documentation_run(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (ROOT / "docs" / "how-to" / "transforms.md").read_text().replace('"shards"', repr(str(figures_set)))
     use, function, whole_class = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
