@@ -107,7 +107,8 @@ def signals_held(only_first: bool = False) -> Iterator[None]:
         for number, action in before.items():
             signal.signal(number, action)
 
-    before = {number: signal.signal(number, put_off) for number in ENDING}
+    # None: a handler of the program that embeds Python, such as Blender; it could not be set again.
+    before = {number: signal.signal(number, put_off) for number in ENDING if signal.getsignal(number) is not None}
     try:
         yield
     finally:

@@ -261,6 +261,13 @@ def test_a_loop_that_cannot_be_compiled_leaves_the_handlers_of_signals(sources: 
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
+def test_handlers_of_a_program_that_embeds_python_stay(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python tells None for them, and could not set them again."""
+    monkeypatch.setattr(signal, "getsignal", {signal.SIGINT: None, signal.SIGTERM: None}.get)
+    monkeypatch.setattr(signal, "signal", None)
+    assert answer(sources) == 1024
+
+
 def test_processes_that_start_at_once_agree(sources: Path, tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(sources)}
     # Each of two types is first in one of them: numba alone may keep one's code as the other's.
