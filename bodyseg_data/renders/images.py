@@ -42,14 +42,11 @@ def read_array(path: Path, palette: bool = False) -> NDArray[Any]:
     Raises BadSample, naming the file, for one that cannot be read; MissingLibrary for OpenEXR without its package.
     """
     readers = {".npy": _read_numpy, ".npz": _read_numpy, ".exr": _read_exr}
-    try:
+    # Decoders raise almost anything for damaged files.
+    with BadSample.named(f"{path}: cannot be read as an image", passes=MissingLibrary):
         refuse_special(path)
         read = readers.get(path.suffix.lower())
         array = _read_picture(path, palette) if read is None else read(path)
-    except MissingLibrary:
-        raise
-    except Exception as error:  # decoders raise almost anything for damaged files
-        raise BadSample(f"{path}: cannot be read as an image: {error}") from error
     while array.ndim > 2 and 1 in (array.shape[0], array.shape[-1]):  # [1, H, W] and [1, 1, H, W], too
         array = array[0] if array.shape[0] == 1 else array[..., 0]
     if array.ndim not in (2, 3) or not array.size or array.dtype.kind not in "buif":

@@ -71,17 +71,11 @@ class McapBag:
         self._found: list[_Places] = []
         self._left = max(_SCANNED[0], _SCANNED[1] * path.stat().st_size)
         self._messages = 0
-        try:
+        mended = "`mcap recover` mends a recording that was cut off"
+        with BadConfig.named(f"{path} must be a whole MCAP file ({mended})", passes=MissingLibrary):
             with path.open("rb") as file:
                 self._list(file)
             self._locations = self._by_topic()
-        except MissingLibrary:
-            raise
-        except Exception as error:  # a damaged file raises what the parser likes
-            raise BadConfig(
-                f"{path} must be a whole MCAP file: {str(error) or type(error).__name__} (`mcap recover` mends a "
-                "recording that was cut off)"
-            ) from error
         self.topics = list(self._locations)
 
     def _by_topic(self) -> dict[Topic, _Places]:
@@ -264,7 +258,8 @@ class _Ros1Bag:
         self._stream: tuple[Topic, int, Iterator[Any]] | None = None
         self._connections: dict[str, list[Connection]] = {}
         self._reader = reader(path)
-        try:
+        mended = "`rosbag reindex` mends a recording that was cut off"
+        with BadConfig.named(f"{path} must be a whole ROS 1 bag with an index ({mended})", passes=MissingLibrary):
             self._reader.open()
             for position, chunk in self._reader.chunks.items():
                 if chunk.datasize > LARGEST_MESSAGE:
@@ -273,11 +268,6 @@ class _Ros1Bag:
             for connection in self._reader.connections:
                 self._connections.setdefault(connection.topic, []).append(connection)
             self.topics = [self._topic(name) for name in sorted(self._connections)]
-        except Exception as error:  # a damaged bag raises what the reader likes
-            raise BadConfig(
-                f"{path} must be a whole ROS 1 bag with an index: {error or type(error).__name__} (`rosbag reindex` "
-                "mends a recording that was cut off)"
-            ) from error
 
     def __del__(self) -> None:
         with contextlib.suppress(Exception):  # it may never have been opened
