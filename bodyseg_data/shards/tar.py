@@ -199,8 +199,10 @@ class ShardReader:
         """Read the key and the members, extension -> bytes, of a sample, which is not decoded. Raises as `read`."""
         record = self._manifest.shards[shard]
         data, key = read_checked(self.store, record, index), record.entry(index).key
-        with reported(location(record, index), BadShard, BadSample):
+        try:  # not `reported`, whose words would be made for every sample
             return key, parse_members(key, data)
+        except BadSample as error:
+            raise BadShard(f"{location(record, index)}: {error}") from error
 
 
 def decode_piece(column: Manifest, key: str, data: bytes) -> NDArray[Any]:

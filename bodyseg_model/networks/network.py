@@ -295,7 +295,7 @@ def _padded(x: torch.Tensor, down: int, across: int) -> torch.Tensor:
 
 def _fits_loops(range_m: torch.Tensor, layers: torch.dtype) -> bool:
     """True if the loops know types and device, and only numbers are asked for, no graph and no gradients."""
-    if torch.compiler.is_compiling() or torch.jit.is_tracing() or range_m.requires_grad:  # type: ignore
+    if torch.compiler.is_compiling() or torch.jit.is_tracing() or range_m.requires_grad:  # type: ignore[no-untyped-call]
         return False
     return range_m.dtype == torch.float32 and layers in (torch.float32, torch.bfloat16) and in_loops(range_m)
 
