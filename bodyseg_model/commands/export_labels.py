@@ -182,7 +182,7 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
 
     def images() -> Images:
         for number, (name, path_id) in enumerate(each, 1):
-            if ".." in Path(name).parts:
+            if Path(name).is_absolute() or ".." in Path(name).parts:
                 raise BadConfig(f"an image's name must stay in its folder, found {name}")
             of_range: tuple[Any, float, str] = (None, 1e-3, "")
             labels = read_array(folder / ImageKind.LABELS / f"{name}.png")
