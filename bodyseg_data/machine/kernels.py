@@ -20,6 +20,7 @@ import os
 import pickle
 import platform
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -96,8 +97,10 @@ def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> An
     """
     function = required("numba", feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
     function._cache = _Kept(loops)
-    # The compiler has Python called by C, which would lose an interrupt.
-    function.compile = signals_held(only_first=True)(function.compile)
+    compiles = function.compile
+    held = signals_held(only_first=True)(compiles)  # the compiler has Python called by C, which would lose an interrupt
+    # Not where SIGTERM is left to the system: there may be handlers of C, such as rclpy's, that could not be put back.
+    function.compile = lambda *given: (held if callable(signal.getsignal(signal.SIGTERM)) else compiles)(*given)
     return function
 
 

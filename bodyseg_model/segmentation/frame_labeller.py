@@ -151,7 +151,7 @@ class FrameLabeller:
             self._finder = put_on_backend(finder or shipped_finder(), backend, precision)
             to_device(self._finder.network, device)
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
-        self._turned = turned
+        self._turned, self.tells_turn = turned, turned == "auto"
         self._turns = lru_cache(maxsize=_KEPT)(lambda camera: _Turns())  # of its frames in calls and the stream
         self._segmenter = partial(
             Segmenter,
@@ -180,7 +180,7 @@ class FrameLabeller:
 
         turns: of the camera's recording; by default of its frames in calls and the stream.
         """
-        if self._turned == "auto":
+        if self.tells_turn:
             return int((turns or self._turns(camera)).means().argmax())
         if self._turned is not None:
             return int(self._turned) // 90
@@ -253,7 +253,7 @@ class FrameLabeller:
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(metres_of(range_m, camera))
             turns = self._turns(camera)
-            if self._turned == "auto" and turns.open:
+            if self.tells_turn and turns.open:
                 self.judge(turns, ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
             turns.frames += 1
@@ -326,7 +326,7 @@ class LabelledRecording:
         self.labeller, self.frames, self.cameras, self._skipping = labeller, frames, cameras, skipping
         self._turns = _Turns()
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
-        if labeller._turned == "auto":
+        if labeller.tells_turn:
             self._turns = self._judged()
 
     def __len__(self) -> int:

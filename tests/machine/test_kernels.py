@@ -244,26 +244,33 @@ def test_an_interrupt_while_a_loop_is_compiled_comes_when_it_is_kept(
         notify(module, code)
 
     monkeypatch.setattr(engine, "_object_cache_notify", interrupted)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
+    # SIGINT is ignored where tests run in the background; commands have a handler for SIGTERM.
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with pytest.raises(KeyboardInterrupt):
             answer(sources)
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     assert came and kept(tmp_path)
 
 
 def test_a_loop_that_cannot_be_compiled_leaves_the_handlers_of_signals(sources: Path) -> None:
     (sources / "inner.py").write_text(INNER.replace("x + 3", "unknown(x)"))
+    terminated = signal.signal(signal.SIGTERM, signal.default_int_handler)
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    with pytest.raises(numba.errors.TypingError):
-        answer(sources)
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    try:
+        with pytest.raises(numba.errors.TypingError):
+            answer(sources)
+        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    finally:
+        signal.signal(signal.SIGTERM, terminated)
 
 
-def test_handlers_of_a_program_that_embeds_python_stay(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python tells None for them, and could not set them again."""
-    monkeypatch.setattr(signal, "getsignal", {signal.SIGINT: None, signal.SIGTERM: None}.get)
+@pytest.mark.parametrize("told", [None, signal.SIG_DFL])
+def test_handlers_of_c_stay(told: Any, sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of a program that embeds Python, which are None to Python, and of rclpy, of which Python knows nothing."""
+    monkeypatch.setattr(signal, "getsignal", {signal.SIGINT: told, signal.SIGTERM: told}.get)
     monkeypatch.setattr(signal, "signal", None)
     assert answer(sources) == 1024
 
