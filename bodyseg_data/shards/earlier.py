@@ -75,7 +75,7 @@ def piece_as_current(data: bytes, where: str) -> bytes:
             body = np.frombuffer(data, f"<u{widths[0]}", count, first)
             stems, tails = [], [stems[row] + tail for row, tail in zip(body.tolist(), tails, strict=True)]
         text = {"tables": [text["bodies"], columns.T.tolist()], "stems": stems, "tails": tails, "notes": text["notes"]}
-    text_bytes = json.dumps(text, sort_keys=True, separators=(",", ":")).encode()
+        text_bytes = json.dumps(text, sort_keys=True, separators=(",", ":")).encode()
     head = struct.pack("<5I", count, 2, len(text_bytes), bodies, views)
     return head + data[_PIECE.size : end] + text_bytes
 

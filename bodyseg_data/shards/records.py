@@ -164,7 +164,8 @@ def _table(columns: Any, names: tuple[tuple[str, str], ...], where: str) -> tupl
     checked = []
     for (name, kind), column in zip(names, columns, strict=True):
         values = [tuple(value) if isinstance(value, list) else value for value in column]
-        if set(map(type, values)) - {FIELD_KINDS[kind], type(None)}:
+        inner = (each for value in values if isinstance(value, tuple) for each in value)
+        if set(map(type, values)) - {FIELD_KINDS[kind], type(None)} or {list, dict} & set(map(type, inner)):
             raise BadShard(f"{where}: {name!r} must hold {kind} or nothing")
         with reported(where, BadShard, BadSample):
             for value in set(values) - {None}:

@@ -42,6 +42,12 @@ def test_hostile_input_is_read_or_refused(target: str, tmp_path: Path) -> None:
     assert figures["refused"] > figures["inputs"] // 3
 
 
+@pytest.mark.parametrize(("target", "number"), [("manifest", 8502), ("column", 848), ("index", 2217), ("sample", 60)])
+def test_what_once_was_a_fault_is_none(target: str, number: int, tmp_path: Path) -> None:
+    """Lists in lists of numbers; brackets too deep to write again; and a sample that could not be made."""
+    assert feed(target, 0, range(number, number + 1), tmp_path)["faults"] == []
+
+
 def test_compiled_loops_and_plain_ones_read_the_same_in_a_process_of_limited_memory() -> None:
     assert by_all_loops("bsi", range(100))["faults"] == []
 

@@ -127,7 +127,7 @@ def hostile_sample(generator: Generator) -> dict[str, bytes]:
         case 5:
             members[str(generator.choice((*names, "extra", "range.gif", "", ".", "bsi.png")))] = members.pop(name)
         case _:
-            members[name] = other[names[int(generator.integers(len(names)))]]
+            members[name] = [*other.values()][int(generator.integers(len(other)))]
     return members
 
 
