@@ -1,7 +1,6 @@
 """Occlusion, noise and missing data in one compiled call, with the bits of their NumPy forms one after the other."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -30,7 +29,6 @@ COVERED: Final[tuple[type[Artifact], ...]] = (Occlusion, Noise, MissingData)
 """The classes of artifacts that the compiled call applies, in its order."""
 
 _NEAREST: Final = np.float32(1)
-_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
 class Strengths(NamedTuple):
@@ -44,7 +42,7 @@ class Strengths(NamedTuple):
     threshold: np.uint32
 
 
-@_kernel
+@compiled
 def alter(image: Any, labels: Any, found: Any, scratch: Any, losing: Any, noisy: Any, steps: Any) -> None:
     """Leave the kept points of a chunk, with noise if `noisy`, in a flat image, and in its labels if `losing` any."""
     pieces, marks, normals = scratch.pieces, scratch.marks, scratch.floats
@@ -76,7 +74,7 @@ def alter(image: Any, labels: Any, found: Any, scratch: Any, losing: Any, noisy:
                 labels[first + i] |= lost if i < length else np.uint8(0)
 
 
-@_kernel
+@compiled
 def apply(
     camera_range: Any,
     columns: Any,

@@ -1,6 +1,5 @@
 """`phase_shift` compiled: its formulas along runs of pixels, so that the compiler takes several pixels at once."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.machine import compiled
 from bodyseg_data.samples import Sample
 
-_kernel = partial(compiled, feature="the compiled form of the artifacts")
 _LANES, _MARGIN = np.int64(8), np.int64(MARGIN)
 _LOOKS, _LABELS, _NO_PART = 19, PART_COUNT + 1, np.uint8(PART_COUNT)
 _LEAST, _MOST = np.float32(1), np.float32(65535)
@@ -55,7 +53,7 @@ def _total(patterns: Any, curve: Any, phases: Any, real: Any, imaginary: Any) ->
     return sums
 
 
-@_kernel
+@compiled
 def _cut(clean: Any, labels: Any, width: Any, changes: Any, runs: Any, sums: Any) -> Any:
     """Cut foreground into runs of one label in a row, (first pixel, end, label), and sum pixels of each label, their
     columns, rows and steps; changes: zeros behind the image. Returns how many runs there are, and their pixels.
@@ -91,7 +89,7 @@ def _cut(clean: Any, labels: Any, width: Any, changes: Any, runs: Any, sums: Any
     return count, points
 
 
-@_kernel
+@compiled
 def _alter(
     image: Any, padded: Any, width: Any, runs: Any, count: Any, x: Any, y: Any, looks: Any, o: Any, times: Any,
     bits: Any,
@@ -130,7 +128,7 @@ def _alter(
         point += np.uint64(end - first)
 
 
-_fill: Any = _kernel(fill)
+_fill: Any = compiled(fill)
 
 
 def apply(image: Any, sample: Sample, given: Any, x: Any, y: Any, optics: Any, times: Any, draws: Draws) -> None:

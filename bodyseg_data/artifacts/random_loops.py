@@ -4,7 +4,6 @@ The words are those that `np.random.Philox(key=...).random_raw` gives, in half t
 "Parallel random numbers: as easy as 1, 2, 3" (2011), with their constants.
 """
 
-from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
@@ -25,7 +24,6 @@ _WEYL_1: Final = np.uint64(0xBB67AE8584CAA73B)
 _NONE, _ONE, _WORDS = np.uint64(0), np.uint64(1), np.uint64(4)
 
 _HALF: Final = np.float32(0.5)
-_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
 def _multiply(typing: Any, a: Any, b: Any) -> Any:
@@ -43,7 +41,7 @@ def _multiply(typing: Any, a: Any, b: Any) -> Any:
 _product: Any = intrinsic(_multiply)
 
 
-@_kernel
+@compiled
 def raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> None:
     """Write at least `count` words from number `first` on, a multiple of four; words: uint64, room for the next one."""
     before = np.uint64(first // 4)
@@ -71,7 +69,7 @@ def bits_of(stream: NDArray[np.uint64], count: int) -> NDArray[np.uint32]:
     return words.view(np.uint32)[:count]
 
 
-@_kernel
+@compiled
 def draw_normals(halves: Any, count: Any, segments: Any, segment_of: Any, normals: Any) -> None:
     """As `noise.normals`; segment_of: int32, room for as many."""
     for point in range(np.uint64(count)):

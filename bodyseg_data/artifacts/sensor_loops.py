@@ -1,6 +1,5 @@
 """Mixed pixels, compiled: the bits of `mixed_pixels`."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,10 +7,9 @@ import numpy as np
 from bodyseg_data.machine import compiled
 
 _MOST = np.float64(65535)
-_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
-@_kernel
+@compiled
 def mix(
     image: Any, clean: Any, columns: Any, pixels: Any, bits: Any, limit: Any, behind: Any, jump_mm: Any, step_m: Any
 ) -> None:

@@ -8,7 +8,6 @@ The loops take the foreground in chunks that stay in the first cache. Indices ar
 those that count from the end.
 """
 
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -23,7 +22,6 @@ _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
 _ONE: Final = np.float32(1)
 _OUTSIDE: Final = np.float32(np.nan)
-_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
 class Shadow(NamedTuple):
@@ -47,7 +45,7 @@ class Shadow(NamedTuple):
     edge_steps: np.float32
 
 
-@_kernel
+@compiled
 def find_runs(camera_range: Any, changes: Any, edges: Any) -> Any:
     """Find where foreground begins, ends, begins ... in reading order, into `edges`; returns the number of runs.
 
@@ -70,7 +68,7 @@ def find_runs(camera_range: Any, changes: Any, edges: Any) -> Any:
     return count // 2
 
 
-@_kernel
+@compiled
 def take_pieces(edges: Any, runs: Any, run: Any, taken: Any, row: Any, width: Any, block: Any, pieces: Any) -> Any:
     """Cut the next `CHUNK` foreground pixels, or what is left of them, into pieces of at most `block` within one row.
 
@@ -98,7 +96,7 @@ def take_pieces(edges: Any, runs: Any, run: Any, taken: Any, row: Any, width: An
     return run, taken, row, found, count
 
 
-@_kernel
+@compiled
 def row_of(texel: Any, row: Any, start: Any, columns: Any) -> Any:
     """Row of a texel and the first texel in it, from those of another that is near."""
     while texel >= start + columns:
@@ -110,7 +108,7 @@ def row_of(texel: Any, row: Any, start: Any, columns: Any) -> Any:
     return row, start
 
 
-@_kernel
+@compiled
 def mark_occupied(shadow: Any, scratch: Any) -> None:
     """Write the projector's image as the test reads it into `frame`, which holds nothing (`occlusion.framed`), and the
     least of it in windows of tiles into `coarse`.
@@ -133,7 +131,7 @@ def mark_occupied(shadow: Any, scratch: Any) -> None:
             coarse[i] = min(coarse[i], coarse[i + beside])
 
 
-@_kernel
+@compiled
 def forget_occupied(shadow: Any, scratch: Any) -> None:
     """Leave `frame` as it was before `mark_occupied`."""
     texels, frame, columns = shadow.texels, scratch.frame, np.int64(shadow.columns)
@@ -145,7 +143,7 @@ def forget_occupied(shadow: Any, scratch: Any) -> None:
     repeat_border(frame, shadow.rows, shadow.columns)
 
 
-@_kernel
+@compiled
 def repeat_border(frame: Any, rows: Any, columns: Any) -> None:
     """Repeat the border of the image in a flat frame around it."""
     stride = np.uint64(columns + 2)
@@ -158,7 +156,7 @@ def repeat_border(frame: Any, rows: Any, columns: Any) -> None:
         frame[left], frame[right] = frame[left + one], frame[right - one]
 
 
-@_kernel
+@compiled
 def find_extremes(camera_range: Any, pieces: Any, found: Any, extremes: Any) -> None:
     """Write the least and the greatest range of each piece, or of more, into `extremes` 0 and 1."""
     size = np.int64(camera_range.size)
@@ -175,7 +173,7 @@ def find_extremes(camera_range: Any, pieces: Any, found: Any, extremes: Any) -> 
         extremes[1, piece] = np.float32(greatest)
 
 
-@_kernel
+@compiled
 def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any) -> None:
     """Write the first and last row and column of the texels that a piece's points can read into `boxes`, int32.
 
@@ -221,7 +219,7 @@ def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any
         boxes[4, piece] = np.int32(min(farthest, FARTHEST_STEPS) - surely_lit) + np.int32(1)
 
 
-@_kernel
+@compiled
 def find_near(shadow: Any, pieces: Any, found: Any, scratch: Any) -> Any:
     """Find the pieces that face the projector and that a texel may shade; returns the number of their points.
 
@@ -255,7 +253,7 @@ def find_near(shadow: Any, pieces: Any, found: Any, scratch: Any) -> Any:
     return count
 
 
-@_kernel
+@compiled
 def read_texels(shadow: Any, count: Any, scratch: Any) -> None:
     """Project points, and read the four texels around them, less one step, into `texels`.
 
@@ -283,7 +281,7 @@ def read_texels(shadow: Any, count: Any, scratch: Any) -> None:
         texels[third + point], texels[fourth + point] = frame[at + below], frame[at + below + one]
 
 
-@_kernel
+@compiled
 def decide(count: Any, floats: Any, texels: Any, gap_steps: Any, edge_steps: Any) -> None:
     """Write 1 into `floats` where light gets to, else 0."""
     second, third, fourth = np.uint64(ROOM), np.uint64(2 * ROOM), np.uint64(3 * ROOM)
@@ -304,7 +302,7 @@ def decide(count: Any, floats: Any, texels: Any, gap_steps: Any, edge_steps: Any
         floats[point] = _ONE if (votes >= _HALF if torn else surface) else _NONE
 
 
-@_kernel
+@compiled
 def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any, lit: Any) -> None:
     """Set `marks` to 1 for the points of a chunk's pieces that one projector lights and to 0 for the others.
 

@@ -7,11 +7,9 @@ from typing import Any
 from bodyseg_data.machine import compiled
 
 
-def _join_runs(labels: Any, edges: Any, table: Any) -> None:
+@compiled
+def join_runs(labels: Any, edges: Any, table: Any) -> None:
     """Replace flat labels by their entries of `table` in runs; edges: where each begins and ends, in turn."""
     for run in range(edges.size // 2):
         for i in range(edges[2 * run], edges[2 * run + 1]):
             labels[i] = table[labels[i]]
-
-
-join_runs: Any = compiled(_join_runs, "the compiled form of label maps")

@@ -90,10 +90,11 @@ def loops(module: str) -> Any:
     return import_module(module)
 
 
-def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> Any:
+def compiled(loops: Callable[..., Any], feature: str = "a compiled loop", extra: str = "fast") -> Any:
     """`loops`, a function of arrays and numbers, as machine code, made at the first call and kept on disk.
 
-    Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary without Numba.
+    Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary without Numba, where nothing
+    has asked for it before: `feature` needs it, and `extra` installs it.
     """
     function = required("numba", feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
     function._cache = _Kept(loops)

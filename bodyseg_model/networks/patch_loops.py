@@ -4,7 +4,6 @@ and within rounding those of `network.metric_patches`.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -16,16 +15,15 @@ BITS: Final = np.uint32(16)
 
 _HALF_LESS_ONE, _LAST = np.uint32(0x7FFF), np.uint32(1)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_kernel = partial(compiled, feature="cutting range images into patches in a compiled loop")
 
 
-@_kernel
+@compiled
 def nearest(exact: Any) -> Any:
     """Round the bits of a float32, uint32, to those of the nearest bfloat16, ties to even, as the lower ones of 32."""
     return (exact + _HALF_LESS_ONE + ((exact >> BITS) & _LAST)) >> BITS
 
 
-@_kernel
+@compiled
 def cut_patches(range_m: Any, mean: Any, relief: Any, side: Any, focal: Any, values: Any, share: Any) -> None:
     """Write the patches of images and the share of each that was measured, `Patches`: those of `network.metric_patches`
     for a focal length, float32, pixels, else of `network.patches_of`.

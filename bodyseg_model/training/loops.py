@@ -4,7 +4,6 @@ which GPUs need (`augmentation`, `loss`).
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ from bodyseg_data.machine import compiled
 from bodyseg_model.networks import BITS, nearest
 
 _NOTHING = np.float32(0)
-_kernel = partial(compiled, feature="training in compiled loops")
 
 
-@_kernel
+@compiled
 def move_images(range_m: Any, labels: Any, down: Any, across: Any, moved: Any, named: Any) -> None:
     """Take every pixel from the one nearest to row down[0][column] + down[1][row], and column likewise.
 
@@ -44,7 +42,7 @@ def move_images(range_m: Any, labels: Any, down: Any, across: Any, moved: Any, n
                     named[image, row, column] = BACKGROUND
 
 
-@_kernel
+@compiled
 def interpolate(table: Any, places: Any, shares: Any, found: Any) -> None:
     """Write the interpolated scores, float32 [N, C].
 
@@ -71,7 +69,7 @@ def interpolate(table: Any, places: Any, shares: Any, found: Any) -> None:
                     found[pixel, k] += corner[k] * share
 
 
-@_kernel
+@compiled
 def add_gradient(gradient: Any, places: Any, shares: Any, ends: Any, table: Any) -> None:
     """Write the gradient by the scores, from the one by the interpolated scores, float32 [N, C].
 

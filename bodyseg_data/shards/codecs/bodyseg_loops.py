@@ -5,14 +5,11 @@ by returning -1, and test every index that depends on stored bytes before they u
 code is made for those that count from the end.
 """
 
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from bodyseg_data.machine import compiled
-
-_kernel = partial(compiled, feature="decoding images in compiled loops")
 
 _0, _1, _2, _3, _4 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 _ESCAPE: Final = np.uint64(255)
@@ -22,13 +19,13 @@ _CHUNK: Final = np.uint64(64)
 """Pixels that are written at once: most runs are shorter, and the next run overwrites what is too much."""
 
 
-@_kernel
+@compiled
 def unzigzag(coded: Any) -> Any:
     """Decode one number as `residuals.unzigzag`, modulo 2**64."""
     return (coded >> _1) ^ (_0 - (coded & _1))
 
 
-@_kernel
+@compiled
 def read_long(numbers: Any, at: Any, long: Any, index: Any) -> Any:
     """Length number `index` of `long` long runs, whose byte planes begin at `at`."""
     low = np.uint64(numbers[at + index]) | np.uint64(numbers[at + long + index]) << np.uint64(8)
@@ -36,7 +33,7 @@ def read_long(numbers: Any, at: Any, long: Any, index: Any) -> Any:
     return low | high << np.uint64(16)
 
 
-@_kernel
+@compiled
 def paint(names: Any, faces: Any, begin: Any, count: Any, label: Any, facing: Any) -> None:
     """Write a run into labels and facing, in whole chunks, which may end behind it."""
     chunks = (count + _CHUNK - _1) // _CHUNK
@@ -54,7 +51,7 @@ def paint(names: Any, faces: Any, begin: Any, count: Any, label: Any, facing: An
             faces[begin + i] = facing
 
 
-@_kernel
+@compiled
 def fill_camera(
     numbers: Any, counts: Any, box: Any, unlabelled: Any, image: Any, labels: Any, facing: Any, edges: Any
 ) -> Any:
@@ -188,7 +185,7 @@ def fill_camera(
     return np.int64(edge)
 
 
-@_kernel
+@compiled
 def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any) -> Any:
     """Decode the occluder range into an image [Hp, Wp] of zeros.
 
@@ -230,7 +227,7 @@ def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any)
     return np.int64(count) if place == area and next_long == long else -1
 
 
-@_kernel
+@compiled
 def fill_copies(kinds: Any, numbers: Any, columns: Any, plane: Any) -> None:
     """Write a plane, uint16 [N], of pixels that equal the one above (0), to the left (1) or take the next number (2).
 
