@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from bodyseg_data.packing.options import Packing
     from bodyseg_data.packing.packer import pack, plan
     from bodyseg_data.packing.render_packing import pack_renders
-    from bodyseg_data.packing.sampler import Sampler, surface_points
+    from bodyseg_data.packing.sampler import Sampler
     from bodyseg_data.packing.shard_writer import ShardWriter
     from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
     from bodyseg_data.packing.things import FURNITURE, Numbers, ThingsPlace, draw_things, in_front

@@ -141,7 +141,7 @@ def _seen_past(
     rows, columns = np.nonzero(range_m)
     stride = max(1, len(rows) // _POINTS)
     rows, columns = rows[::stride], columns[::stride]
-    points = device.pixel_rays()[rows, columns] * range_m[rows, columns, None] @ rotation.T + offset
+    points = device.points(range_m, rows, columns) @ rotation.T + offset
     points = points[points[:, 2] > 0]
     across, down = (points[:, :2] / points[:, 2:] * target.focal_px + target.centre_px).T
     inside = (across >= 0) & (across < target.columns) & (down >= 0) & (down < target.rows)

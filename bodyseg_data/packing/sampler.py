@@ -15,7 +15,7 @@ from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, TEMPLATE, UNLAB
 from bodyseg_data.meshes import Mesh, Partition, SceneMesh
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest
-from bodyseg_data.rendering import Renderer, Surface
+from bodyseg_data.rendering import Renderer
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import HELD, Sample, SampleInfo, Value, View, steps
 
@@ -87,7 +87,7 @@ class Sampler:
             pixels, faces = measured[~on_thing], faces[~on_thing]
 
         def points(chosen: NDArray[np.intp]) -> Floats:
-            return surface_points(seen, camera, *np.divmod(pixels[chosen], camera.camera.columns))
+            return camera.points(seen.range, *np.divmod(pixels[chosen], camera.camera.columns))
 
         range_image = np.zeros(seen.face.shape, np.uint16)
         range_image.ravel()[measured] = steps(seen.range.take(measured), step_m, key)
@@ -171,13 +171,6 @@ class Sampler:
         unsure = np.flatnonzero((np.abs(towards) <= self._sure).take(faces))
         answer[unsure] = faces_towards(self._mesh, faces[unsure], points(unsure), source)
         return answer
-
-
-def surface_points(seen: Surface, camera: PlacedCamera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-    """The points [N, 3] of the body's frame that the given pixels see."""
-    x, y = camera.camera.slopes
-    rays = np.stack([x[columns], y[rows], np.ones(len(rows))], axis=1)
-    return camera.to_body(rays * seen.range[rows, columns, None])
 
 
 def faces_towards(mesh: Mesh, faces: NDArray[np.int32], points: Floats, source: Floats) -> NDArray[np.bool_]:

@@ -92,6 +92,12 @@ class Camera:
         rays[..., 0], rays[..., 1] = self.slopes[0], self.slopes[1][:, None]
         return rays
 
+    def points(self, range_m: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
+        """The points [N, 3] of this camera's frame that the given pixels of a range image [H, W] see, metres."""
+        x, y = self.slopes
+        points: Floats = np.stack([x[columns], y[rows], np.ones(len(rows))], axis=1) * range_m[rows, columns, None]
+        return points
+
     @property
     def slopes(self) -> tuple[Floats, Floats]:
         """The x of the rays through each column [columns] and the y of those through each row [rows], at z = 1."""
@@ -159,6 +165,10 @@ class PlacedCamera:
     def to_body(self, points: Floats) -> Floats:
         """Points of this camera's frame [..., 3] in the body's frame, metres."""
         return points @ self.axes + self.position
+
+    def points(self, range_m: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
+        """As `Camera.points`, in the body's frame."""
+        return self.to_body(self.camera.points(range_m, rows, columns))
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Image coordinates [..., 2] (x, y) and range [...] of points [..., 3] in front of the camera."""

@@ -21,7 +21,7 @@ from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED
 from bodyseg_data.machine import compiled
 from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
-from bodyseg_data.packing import Numbers, surface_points
+from bodyseg_data.packing import Numbers
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
@@ -389,7 +389,7 @@ class Room:
         (across, down), first = self.rig.camera.slopes, 0
         for number, (person, pose, _) in enumerate(self.persons):
             own = np.nonzero((face >= first) & (face < first + len(person.mesh.faces)))
-            points = pose.back(surface_points(seen, camera, *own))
+            points = pose.back(camera.points(seen.range, *own))
             found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), points)
             body, first = found < UNLABELLED, first + len(person.mesh.faces)
             labels[own], people[own] = np.where(body, found, UNLABELLED), np.where(body, number + 1, 0)

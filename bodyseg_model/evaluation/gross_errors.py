@@ -67,8 +67,7 @@ class TrueSurface:
 
     def points(self, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
         """Points that `pixels` [N], row * W + column, see, in the camera's frame, float64 [N, 3], metres."""
-        (across, down), (row, column) = self.camera.slopes, np.divmod(pixels, self.camera.columns)
-        return np.stack([across[column], down[row], np.ones(len(row))], 1) * self.range_m.ravel()[pixels, None]
+        return self.camera.points(self.range_m, *np.divmod(pixels, self.camera.columns))
 
     @cached_property
     def _kept(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:

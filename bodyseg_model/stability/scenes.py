@@ -31,7 +31,7 @@ from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_choice, 
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.loading import CameraImage, RangeImages, Remnants
 from bodyseg_data.meshes import Partition
-from bodyseg_data.packing import Sampler, draw_things, in_front, surface_points
+from bodyseg_data.packing import Sampler, draw_things, in_front
 from bodyseg_data.rendering import Renderer, Surface, open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, Rig, axes_at, load_rig
 from bodyseg_data.samples import Sample, View, metres, steps
@@ -409,7 +409,7 @@ class _PosedBody:
     def _labels(self, seen: Surface, camera: PlacedCamera) -> NDArray[np.uint8]:
         """Label image of what a camera sees of the body, uint8 [H, W], BACKGROUND beside it."""
         labels, (rows, columns) = np.full(seen.face.shape, BACKGROUND, np.uint8), np.nonzero(seen.face >= 0)
-        points = surface_points(seen, camera, rows, columns)
+        points = camera.points(seen.range, rows, columns)
         labels[rows, columns] = self.parts.labels_at(self.body.mesh, seen.face[rows, columns], points)
         return labels
 

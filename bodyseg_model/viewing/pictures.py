@@ -219,9 +219,7 @@ def points_at(range_m: NDArray[np.float32], placed: PlacedCamera) -> NDArray[np.
 
     range_m: [H, W], metres along the optical axis, 0 = nothing measured.
     """
-    seen = range_m > 0
-    rays = placed.camera.pixel_rays()[seen]
-    return placed.to_body(rays * range_m[seen, None].astype(np.float64)).astype(np.float32)
+    return placed.points(range_m, *np.nonzero(range_m > 0)).astype(np.float32)
 
 
 def point_gap_m(range_m: NDArray[np.float32], camera: Camera) -> float:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh, Partition
-from bodyseg_data.packing import surface_points
 from bodyseg_data.packing.sampler import faces_towards
 from bodyseg_data.rendering import RasterRenderer, Surface
 from bodyseg_data.rendering.embree import EmbreeRenderer
@@ -41,7 +40,7 @@ def take_whole_frames(
     camera, projector = rig.placed(mesh.centre, view)
     seen = cast_whole_frame(mesh, camera)
     rows, columns = np.nonzero(seen.face >= 0)
-    faces, points = seen.face[rows, columns], surface_points(seen, camera, rows, columns)
+    faces, points = seen.face[rows, columns], camera.points(seen.range, rows, columns)
     labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
     labels[rows, columns] = parts.labels_at(mesh, faces, points)
     facing = np.zeros(seen.face.shape, np.bool_)

@@ -11,7 +11,6 @@ from PIL import Image, ImageDraw
 from bodyseg_data.drawing import FAINT, INK, PAPER, THING, draw_legend, font
 from bodyseg_data.labels import colour_labels
 from bodyseg_data.meshes import Mesh, Partition
-from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, axes_at
 
@@ -80,7 +79,7 @@ def draw_parts(
 
     rows, columns = np.nonzero(seen.face >= 0)
     faces = seen.face[rows, columns]
-    points = surface_points(seen, fine, rows, columns)
+    points = fine.points(seen.range, rows, columns)
     weights = mesh.barycentric(faces, points)
     facing = np.einsum("nk,nkd->nd", weights, normals[mesh.faces[faces]])
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)

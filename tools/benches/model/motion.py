@@ -28,7 +28,6 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.meshes import Mesh, Partition
-from bodyseg_data.packing import surface_points
 from bodyseg_data.packing.sampler import faces_towards, sample_key
 from bodyseg_data.rendering import Surface, open_renderer
 from bodyseg_data.rigs import PlacedCamera, Rig, load_rig
@@ -69,7 +68,7 @@ class RenderedBody:
     @cached_property
     def points(self) -> NDArray[np.float64]:
         """The surface points at the centres of `pixels`, [N, 3], metres, body frame."""
-        return surface_points(self.surface, self.camera, *np.divmod(self.pixels, self.surface.face.shape[1]))
+        return self.camera.points(self.surface.range, *np.divmod(self.pixels, self.surface.face.shape[1]))
 
     def labels(self, parts: Partition) -> NDArray[np.uint8]:
         """Label image of the body, uint8 [H, W], BACKGROUND where the camera does not see it."""

@@ -17,7 +17,7 @@ from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.labels import PARTS
 from bodyseg_data.meshes import Partition
 from bodyseg_data.meshes.partitioning import find_borders
-from bodyseg_data.packing import Sampler, surface_points
+from bodyseg_data.packing import Sampler
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import Sample, View, ViewGrid, steps
@@ -150,7 +150,7 @@ def exact_view(
     camera, projector = rig.placed(mesh.centre, view)
     seen = renderer.render(camera)
     rows, columns = np.nonzero(seen.face >= 0)
-    points = surface_points(seen, camera, rows, columns)
+    points = camera.points(seen.range, rows, columns)
     pixels, away = projector.project(points)
     inside = (away > 0) & (pixels >= 0).all(axis=1) & (pixels < (rig.projector.columns, rig.projector.rows)).all(axis=1)
     normals, ways = mesh.normals[seen.face[rows, columns]], projector.position - points

@@ -22,7 +22,7 @@ from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies import BodyRef, BodySource
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh
-from bodyseg_data.packing import Packing, Sampler, surface_points
+from bodyseg_data.packing import Packing, Sampler
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.sampler import faces_towards
 from bodyseg_data.rendering import RasterRenderer, Renderer, Surface, open_renderer
@@ -84,7 +84,7 @@ class _Scene:
         camera, projector = self.rig.placed(self.mesh.centre, view)
         seen = renderer.render(camera)
         rows, columns = np.nonzero(seen.face >= 0)
-        faces, points = seen.face[rows, columns], surface_points(seen, camera, rows, columns)
+        faces, points = seen.face[rows, columns], camera.points(seen.range, rows, columns)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
         labels[rows, columns] = self.parts.labels_at(self.mesh, faces, points)
         facing = np.zeros(seen.face.shape, np.bool_)

@@ -16,7 +16,6 @@ from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.meshes import Partition
 from bodyseg_data.meshes.partitioning import find_borders
-from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import View, ViewGrid
@@ -128,7 +127,7 @@ def labelled_pixels(
     seen = EmbreeRenderer(body.mesh).render(camera)
     rows, columns = np.nonzero(seen.face >= 0)
     faces = seen.face[rows, columns]
-    points = surface_points(seen, camera, rows, columns)
+    points = camera.points(seen.range, rows, columns)
     reached = np.isfinite(fields[0][body.mesh.faces[faces]]).all(axis=1)
     faces, points = faces[reached], points[reached]
     return _labels(body, parts, faces, points), _exact(body, fields, faces, body.mesh.barycentric(faces, points))

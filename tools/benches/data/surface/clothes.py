@@ -14,7 +14,6 @@ from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import PARTS
-from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import View
@@ -85,7 +84,7 @@ def roughness(body: Body) -> Floats:
         camera, _ = rig.placed(body.mesh.centre, View(_DISTANCE_CM, azimuth))
         seen = renderer.render(camera)
         rows, columns = np.nonzero(seen.face >= 0)
-        points = surface_points(seen, camera, rows, columns)
+        points = camera.points(seen.range, rows, columns)
         wanted = np.zeros(seen.face.shape, np.bool_)
         wanted[rows, columns] = ~np.isin(parts.labels_at(body.mesh, seen.face[rows, columns], points), bare)
         found.append(_residuals(seen.range, wanted))

@@ -22,7 +22,7 @@ from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.meshes import Mesh, Partition, partition, with_pymeshlab
 from bodyseg_data.meshes.partitioning import find_borders
-from bodyseg_data.packing import Packing, Sampler, surface_points
+from bodyseg_data.packing import Packing, Sampler
 from bodyseg_data.packing.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, edges_collapsed, reduce
 from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.packing.sampler import faces_towards
@@ -144,7 +144,7 @@ class _Reference:
             camera, projector = self.rig.placed(self.body.mesh.centre, view)
             seen = renderer.render(camera)
             rows, columns = np.nonzero(seen.face >= 0)
-            faces, points = seen.face[rows, columns], surface_points(seen, camera, rows, columns)
+            faces, points = seen.face[rows, columns], camera.points(seen.range, rows, columns)
             labels, facing = np.zeros(seen.face.shape, np.uint8), np.zeros(seen.face.shape, np.bool_)
             labels[rows, columns] = parts.labels_at(mesh, faces, points)
             facing[rows, columns] = faces_towards(mesh, faces, points, projector.position)

@@ -21,7 +21,6 @@ from bodyseg_data.bodies import open_source
 from bodyseg_data.core import ProgressCallback, check_int, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh, Partition
-from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering import Renderer, open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, axes_at, load_rig
 from bodyseg_model.evaluation import ConfusionMatrix
@@ -131,7 +130,7 @@ def _see(renderer: Renderer, mesh: Mesh, parts: Partition, placed: PlacedCamera)
     seen = renderer.render(placed)
     rows, columns = np.nonzero(seen.face >= 0)
     truth = np.full(seen.face.shape, BACKGROUND, np.uint8)
-    truth[rows, columns] = parts.labels_at(mesh, seen.face[rows, columns], surface_points(seen, placed, rows, columns))
+    truth[rows, columns] = parts.labels_at(mesh, seen.face[rows, columns], placed.points(seen.range, rows, columns))
     return seen.range, truth
 
 

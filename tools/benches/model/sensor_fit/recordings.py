@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts import Augmentation, SensorModel
 from bodyseg_data.bodies import Body
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.packing import surface_points
 from bodyseg_data.packing.sampler import faces_towards
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Rig
@@ -91,7 +90,7 @@ class Scenes:
         seen, lit = self._renderer.render(camera), self._renderer.render(projector)
         rows, columns = np.nonzero(seen.face >= 0)
         facing = np.zeros(seen.face.shape, np.bool_)
-        points = surface_points(seen, camera, rows, columns)
+        points = camera.points(seen.range, rows, columns)
         facing[rows, columns] = faces_towards(self._mesh, seen.face[rows, columns], points, projector.position)
         labels = np.where(seen.face >= 0, 0, BACKGROUND).astype(np.uint8)
         key = f"{self._mesh.name}-a{azimuth:03d}"
