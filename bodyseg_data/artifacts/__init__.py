@@ -7,7 +7,7 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
     from bodyseg_data.artifacts.cast_shadow import seen_by_projectors
-    from bodyseg_data.artifacts.lost_pixels import SHAPES, Losses, PatchLoss, StripeLoss, box_of
+    from bodyseg_data.artifacts.lost_pixels import SHAPES, Losses, PatchLoss, StripeLoss
     from bodyseg_data.artifacts.missing_data import MissingData
     from bodyseg_data.artifacts.mixed_pixels import MixedPixels
     from bodyseg_data.artifacts.noise import Noise

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.drawing.contact_sheet import Row, Window, colour_range, draw_sheet, span_of, span_text, window_of
+    from bodyseg_data.drawing.contact_sheet import Row, colour_range, draw_sheet, span_of, span_text, window_of
     from bodyseg_data.drawing.style import (
         EMPTY,
         FAINT,

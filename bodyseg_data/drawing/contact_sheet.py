@@ -15,10 +15,7 @@ from PIL import Image, ImageDraw
 from bodyseg_data.artifacts import RangeImage, SensorModel, VariantName
 from bodyseg_data.drawing.style import EMPTY, FAINT, INK, PAPER, THING, colour_shares, draw_legend, fitted, font
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels
-from bodyseg_data.samples import HELD, Sample
-
-Window = tuple[slice, slice]
-"""Rows and columns."""
+from bodyseg_data.samples import HELD, Sample, Window, box_of
 
 _MARGIN: Final = 0.08  # around what is measured, as a share of its longer side
 _MOST_CROPPED: Final = 0.4  # share of an image up to which it is cropped to a window; with more, it stays whole
@@ -44,12 +41,12 @@ def window_of(images: Sequence[NDArray[Any]]) -> Window:
     if len({image.shape for image in images}) != 1:
         return whole
     measured = np.any([image > 0 for image in images], axis=0)
-    spans = [np.flatnonzero(measured.any(axis=axis)) for axis in (1, 0)]
-    if not measured.any():
+    box = box_of(measured)
+    if box is None:
         return whole
-    margin = round(_MARGIN * max(int(span[-1] - span[0]) for span in spans))
-    rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + margin + 1) for span in spans)
-    return (rows, columns) if measured[rows, columns].size < _MOST_CROPPED * measured.size else whole
+    margin = round(_MARGIN * max(span.stop - 1 - span.start for span in box))
+    box = box_of(measured, margin) or whole
+    return box if measured[box].size < _MOST_CROPPED * measured.size else whole
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,10 @@ from typing import Any, ClassVar, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import RangeImage, box_of
+from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws, reported
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
-from bodyseg_data.samples import Sample, SampleInfo, metres
+from bodyseg_data.samples import Sample, SampleInfo, box_of, metres
 
 
 class BadTransform(BodysegError):

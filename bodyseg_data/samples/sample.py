@@ -243,6 +243,24 @@ def shape_of(image: NDArray[Any]) -> str:
     return " x ".join(map(str, image.shape))
 
 
+Window = tuple[slice, slice]
+"""Rows and columns of an image."""
+
+
+def box_of(image: NDArray[Any], margin: int = 0) -> Window | None:
+    """The rows and columns that all of an image of whole numbers or a mask [H, W] but 0 reaches over; None if all is 0.
+
+    margin: pixels more on every side, where the image has them. By the bits of whole rows, which takes three fifths of
+    the time that `any` takes for 16-bit ranges.
+    """
+    rows = np.flatnonzero(np.bitwise_or.reduce(image, axis=1))
+    if not len(rows):
+        return None
+    columns = np.flatnonzero(np.bitwise_or.reduce(image[rows[0] : rows[-1] + 1], axis=0))
+    top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
+    return slice(top, int(rows[-1]) + 1 + margin), slice(left, int(columns[-1]) + 1 + margin)
+
+
 def check_key(key: str, planes: Iterable[str] = ()) -> None:
     """Raise BadSample unless `key` can name a sample in a tar, letters, digits, _, + and -, at most 80, and with the
     name of each of its `planes` at most 89: tars have 100 bytes for KEY.plane.NAME.bsp.

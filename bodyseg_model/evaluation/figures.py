@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts import box_of
 from bodyseg_data.drawing import (
     EMPTY,
     FAINT,
@@ -23,6 +22,7 @@ from bodyseg_data.drawing import (
     save_chart,
 )
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels, label_map_from_json
+from bodyseg_data.samples import box_of
 from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.evaluation.reports import PAPERS_THRESHOLD, subset_order
 from bodyseg_model.evaluation.scores import KINDS, ConfusionMatrix, kinds_of

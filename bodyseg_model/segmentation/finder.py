@@ -19,6 +19,7 @@ from bodyseg_data.core import BadConfig, Checked
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
+from bodyseg_data.samples import box_of
 from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
 from bodyseg_model.segmentation.views import compiled_loops
 
@@ -228,11 +229,10 @@ def part_people(range_m: Ranges, people: Mask, camera: Camera) -> list[Pixels]:
 
     range_m: [H, W], metres. camera: the frame's, upright. Raises MissingLibrary without SciPy.
     """
-    rows, columns = (np.flatnonzero(people.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
+    box = box_of(people)
+    if box is None:
         return []
-    top, left, step = int(rows[0]), int(columns[0]), max(1, round(_STEP_RAD * camera.focal_px))
-    box = np.s_[top : rows[-1] + 1, left : columns[-1] + 1]
+    top, left, step = box[0].start, box[1].start, max(1, round(_STEP_RAD * camera.focal_px))
     ranges = np.where(people[box], range_m[box], np.float32(0))
     grid = ranges[step // 2 :: step, step // 2 :: step]
     if not grid.any():

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts import Augmentation, SensorModel, artifact_class, box_of
+from bodyseg_data.artifacts import Augmentation, SensorModel, artifact_class
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.drawing import INK, PAPER, colour_shares, fitted, font
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import Sample, SampleInfo
+from bodyseg_data.samples import Sample, SampleInfo, box_of
 from bodyseg_model.recordings import FrameCamera
 from bodyseg_model.sensor_fit.edges import (
     ProjectorShadow,

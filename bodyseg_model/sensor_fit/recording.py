@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import box_of
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
+from bodyseg_data.samples import box_of
 from bodyseg_model.recordings import Frame, Skipping, evenly_apart, to_metres
 from bodyseg_model.segmentation import Background, find_bodies
 

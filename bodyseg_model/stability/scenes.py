@@ -22,7 +22,6 @@ from bodyseg_data.artifacts import (
     MixedPixels,
     Noise,
     PhaseShift,
-    box_of,
     lit_pixels,
     shown_with,
 )
@@ -34,7 +33,7 @@ from bodyseg_data.meshes import Partition
 from bodyseg_data.packing import Sampler, draw_things, in_front
 from bodyseg_data.rendering import Renderer, Surface, open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, Rig, axes_at, load_rig
-from bodyseg_data.samples import Sample, View, metres, steps
+from bodyseg_data.samples import Sample, View, box_of, metres, steps
 from bodyseg_model.evaluation import TrueSurface
 from bodyseg_model.recordings import other_sensors
 from bodyseg_model.segmentation import view_body

@@ -14,11 +14,11 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import VARIANTS, Augmentation, RangeImage, SensorModel, VariantName, load_sensor_model
-from bodyseg_data.drawing import Window, colour_range, span_of, span_text, window_of
+from bodyseg_data.drawing import colour_range, span_of, span_text, window_of
 from bodyseg_data.labels import BACKGROUND, LabelMap, load_label_map
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import PlacedCamera
-from bodyseg_data.samples import ReadSplit, Sample, View, metres
+from bodyseg_data.samples import ReadSplit, Sample, View, Window, metres
 from bodyseg_model.evaluation import KINDS, RigFit, kinds_of, told_kinds
 from bodyseg_model.networks import Trained, device_of, predict
 from bodyseg_model.viewing.pictures import (

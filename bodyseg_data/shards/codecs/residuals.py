@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import if_ready, loops
+from bodyseg_data.samples import box_of
 from bodyseg_data.shards.codecs.codec import Bytes, Range
 
 ESCAPE: Final = 255
@@ -51,11 +52,8 @@ class Runs:
 
 def bounding_box(used: NDArray[np.bool_]) -> Box:
     """Bounding box of the True pixels of `used` [H, W]; an empty one at 0, 0 without any."""
-    rows, columns = np.flatnonzero(used.any(axis=1)), np.flatnonzero(used.any(axis=0))
-    if not len(rows):
-        return Box(0, 0, 0, 0)
-    top, left = int(rows[0]), int(columns[0])
-    return Box(top, left, int(rows[-1]) - top + 1, int(columns[-1]) - left + 1)
+    rows, columns = box_of(used) or np.s_[0:0, 0:0]
+    return Box(rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start)
 
 
 def find_runs(crop: Image) -> Runs:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from bodyseg_data.artifacts import box_of
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
+from bodyseg_data.samples import box_of
 from bodyseg_model.evaluation.evaluation import PredictedImage
 
 EDGES: Final = (1, 2, 4, 8, 16)
