@@ -185,13 +185,15 @@ def sensor_model_from_json(tree: Any, where: str) -> SensorModel:
     return _model({key: value for key, value in tree.items() if key != "format"}, where)
 
 
-def artifacts_from_json(tree: Any, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:
-    """Artifacts of given strengths: {name: {strength: value}}.
+def parse_artifacts(text: str, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:
+    """Artifacts of given strengths, JSON text: {name: {strength: value}}.
 
     Strengths left out are those of the sensor's artifact of that name, or else its class's defaults. where: names the
     origin in messages. Raises BadConfig for anything unknown or out of range.
     """
-    if not isinstance(tree, Mapping) or not all(isinstance(strengths, Mapping) for strengths in tree.values()):
+    with reported(f"{where} must be JSON, found {text!r}", BadConfig, ValueError, RecursionError):
+        tree = json.loads(text)
+    if not isinstance(tree, dict) or not all(isinstance(strengths, dict) for strengths in tree.values()):
         raise BadConfig(f'{where} must be strengths by artifact, like {{"noise": {{"high_mm": 50}}}}, found {tree!r}')
     own = {artifact.name: artifact for artifact in sensor}
     return tuple(_artifact(name, _left(own.get(name), given) | dict(given), where) for name, given in tree.items())
@@ -203,13 +205,6 @@ def _left(artifact: Artifact | None, given: Mapping[str, Any]) -> dict[str, Any]
         return {}
     replaced = artifact.either if given.keys() & {*artifact.either} else ()
     return {name: value for name, value in asdict(artifact).items() if name not in replaced}
-
-
-def parse_artifacts(text: str, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:
-    """As `artifacts_from_json`, from JSON text."""
-    with reported(f"{where} must be JSON, found {text!r}", BadConfig, ValueError, RecursionError):
-        tree = json.loads(text)
-    return artifacts_from_json(tree, where, sensor)
 
 
 def _model(tree: dict[str, Any], where: str) -> SensorModel:

@@ -30,7 +30,7 @@ from bodyseg_data.artifacts import (
     sensor_model_names,
 )
 from bodyseg_data.artifacts.registry import ENTRY_POINT
-from bodyseg_data.artifacts.sensor_model import artifacts_from_json, parse_sensor_model, sensor_model_from_json
+from bodyseg_data.artifacts.sensor_model import parse_sensor_model, sensor_model_from_json
 from bodyseg_data.core import BadConfig, Draws
 
 PAPER = load_sensor_model("paper")
@@ -345,13 +345,13 @@ def test_strengths_left_out_are_the_sensors() -> None:
     assert parse_artifacts('{"noise": {"high_mm": 50}}', "x", REVERSED) == (Noise(5.0, 50),)
     assert parse_artifacts("{}", "x", PAPER) == ()
     assert parse_artifacts('{"losses": {}, "occlusion": {}}', "x", PAPER) == (Losses(), Occlusion())
-    assert artifacts_from_json({"losses": {}}, "x", REVERSED) == (Losses(0.4),)
+    assert parse_artifacts('{"losses": {}}', "x", REVERSED) == (Losses(0.4),)
     for first, second in permutations((MissingData(rates=(0.2,)), MissingData(between=(0.1, 0.5)))):
         fitted = SensorModel("fitted", (first,))
-        assert artifacts_from_json({"missing_data": {}}, "x", fitted) == (first,)
+        assert parse_artifacts('{"missing_data": {}}', "x", fitted) == (first,)
         (strength,) = (name for name in MissingData.either if getattr(second, name) != getattr(MissingData, name))
         given = {"missing_data": {strength: getattr(second, strength)}}
-        assert artifacts_from_json(given, "x", fitted) == (second,)  # which replaces the sensor's other one
+        assert parse_artifacts(json.dumps(given), "x", fitted) == (second,)  # which replaces the sensor's other one
         assert sensor_model_from_json(fitted.to_json(), "x") == fitted
 
 
