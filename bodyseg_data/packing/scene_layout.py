@@ -18,7 +18,7 @@ from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
 from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import Sample, SampleInfo, Value, as_array, check_key, kind_of, steps
+from bodyseg_data.samples import Sample, SampleInfo, Value, as_array, check_key, kind_of, plain_value, steps
 from bodyseg_data.shards import EXTERNAL, FACING_FROM_RANGE, RIG_FIELD, Fields, ProjectorKind, check_plane
 
 Images = NDArray[Any]
@@ -207,19 +207,6 @@ def fields_of(kinds: Mapping[str, str], rigs: int) -> Fields:
     if not all(isinstance(kind, str) for kind in kinds.values()):
         raise BadConfig(f"'fields' must give a kind for each name, found {dict(kinds)!r:.200}")
     return Fields(tuple(((name, kind),) for name, kind in sorted(kinds.items())))
-
-
-def plain_value(value: Any) -> Any:
-    """A field's value without NumPy or torch: their numbers as Python's, lists and arrays as tuples of floats."""
-    if getattr(value, "ndim", None) == 0:
-        return value.item()
-    if isinstance(value, list | tuple | np.ndarray) or hasattr(value, "detach"):
-        try:
-            flat = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
-        except (TypeError, ValueError):
-            return value
-        return tuple(flat.astype(np.float64).tolist()) if flat.ndim == 1 and flat.dtype.kind in "biuf" else value
-    return value
 
 
 def _kind(value: Value, name: str, key: str) -> str:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         info_from_json,
         kind_of,
         metres,
+        plain_value,
         shape_of,
         split_by_motion,
         split_by_order,

@@ -139,6 +139,19 @@ def check_field_name(name: Any) -> str:
     return name
 
 
+def plain_value(value: Any) -> Any:
+    """A field's value without NumPy or torch: their numbers as Python's, lists and arrays as tuples of floats."""
+    if getattr(value, "ndim", None) == 0:
+        return value.item()
+    if isinstance(value, list | tuple | np.ndarray) or hasattr(value, "detach"):
+        try:
+            flat = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
+        except (TypeError, ValueError):
+            return value
+        return tuple(flat.astype(np.float64).tolist()) if flat.ndim == 1 and flat.dtype.kind in "biuf" else value
+    return value
+
+
 def kind_of(value: Any, name: str) -> str:
     """Return the kind of a field's value (`FIELD_KINDS`). Raises BadSample, naming the field, for one of no kind."""
     kind = next((kind for kind, accepted in FIELD_KINDS.items() if type(value) is accepted), None)

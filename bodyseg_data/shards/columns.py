@@ -19,7 +19,7 @@ import numpy as np
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
 from bodyseg_data.files import claimed, write_atomically
-from bodyseg_data.samples import SampleInfo, as_array, check_field_name, check_key, kind_of
+from bodyseg_data.samples import SampleInfo, as_array, check_field_name, check_key, kind_of, plain_value
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.manifest import (
     LARGEST_MANIFEST,
@@ -204,9 +204,7 @@ class ColumnWriter:
         return {f"plane.{self._name}.{ending}": data for ending, data in members.items()}
 
     def _field(self, value: Any, info: SampleInfo) -> dict[str, bytes]:
-        value = value.tolist() if hasattr(value, "tolist") else value  # of NumPy or torch
-        if self._kind == "numbers" and isinstance(value, list | tuple):
-            value = tuple(float(each) if type(each) is int else each for each in value)
+        value = plain_value(value)
         value = float(value) if self._kind == "float" and type(value) is int else value
         if kind_of(value, self._name) != self._kind:
             raise BadSample(f"field {self._name!r} must be of the kind {self._kind}, found {value!r}")

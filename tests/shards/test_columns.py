@@ -98,6 +98,7 @@ def test_images_are_the_same_bits_with_columns(copy: Path, small_set: Path) -> N
         ("flag", True, True),
         ("numbers", [1, 2.5], (1.0, 2.5)),
         ("numbers", np.eye(2)[0], (1.0, 0.0)),
+        ("numbers", [np.float32(0.5), np.int64(2)], (0.5, 2.0)),
         ("numbers", torch.tensor([0.5]), (0.5,)),
         ("uint8", torch.ones(160, 82, dtype=torch.int64), np.ones((160, 82), np.uint8)),
     ],
