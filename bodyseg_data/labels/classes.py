@@ -132,7 +132,7 @@ class Classes:
     @cached_property
     def colours(self) -> NDArray[np.uint8]:
         """Colours of the classes, sRGB, uint8 [N, 3]: as given, else drawn (`class_colours`)."""
-        drawn = class_colours(self.sides, [min(label, int(self.mirrored[label])) for label in range(len(self))])
+        drawn = class_colours(self.sides, self.mirrored)
         for label, entry in enumerate(self.entries):
             if entry.colour is not None:
                 drawn[label] = list(bytes.fromhex(entry.colour[1:]))
@@ -201,17 +201,16 @@ def looked_up(labels: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np
     return np.frombuffer(found, np.uint8).reshape(labels.shape)
 
 
-def class_colours(sides: Sequence[Side], pairs: Sequence[int]) -> NDArray[np.uint8]:
+def class_colours(sides: Sequence[Side], mirrored: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Colours of classes, sRGB uint8 [N, 3].
 
-    sides: of each class, "middle" for one that is its own mirror image. pairs: a number for each class, equal for the
-    two classes of a pair.
+    sides: of each class, "middle" for one that is its own mirror image. mirrored: label -> that of the mirror image.
 
     Hues are spread evenly over the pairs, and over the classes of the middle, which are paler. Greys are spread evenly
     over all classes: those of the right are the darkest, those of the left the lightest, so that no two classes look
     alike without colour, and exchanged sides show most.
     """
-    middle = [side == "middle" for side in sides]
+    middle, pairs = [side == "middle" for side in sides], np.minimum(np.arange(len(sides)), mirrored[: len(sides)])
     hues = {}
     for among, offset in ((False, 0.0), (True, 0.5)):
         chosen = list(dict.fromkeys(pair for pair, is_middle in zip(pairs, middle, strict=True) if is_middle == among))

@@ -218,7 +218,7 @@ class LabelMap:
         """Colours of the classes, sRGB, uint8 [len(self), 3]; a map that changes nothing has those of the set."""
         if self.is_whole:
             return self.of.colours
-        return class_colours(self.sides, [min(label, int(self._opposites[label])) for label in range(len(self))])
+        return class_colours(self.sides, self._opposites)
 
     @property
     def of_bodies(self) -> bool:
