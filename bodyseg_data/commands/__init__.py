@@ -6,7 +6,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.commands.cli import COMMANDS, Commands, main
-    from bodyseg_data.commands.options import OCCLUDER_HELP, WHERE_HELP, command_line, headings, option
+    from bodyseg_data.commands.options import OCCLUDER_HELP, WHERE_HELP, command_line, flag_of, headings, option
     from bodyseg_data.commands.progress import Progress, rate_text
     from bodyseg_data.commands.records import check_target, provenance
 else:

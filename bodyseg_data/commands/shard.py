@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts import Augmentation, check_variant
 from bodyseg_data.bodies import SOURCES, Units, UpAxis, check_source, collapsed
-from bodyseg_data.commands.options import option
+from bodyseg_data.commands.options import flag_of, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadMesh, one_line
 from bodyseg_data.meshes import GeodesicMethod
@@ -179,9 +179,8 @@ def _refuse_foreign(options: Options) -> None:
         others = [other for other, names in _TAKEN.items() if each.name in names and each.name not in _ALSO]
         foreign = each.name not in (*_OF_ALL, *_TAKEN[source]) if source in _TAKEN else others
         if foreign and getattr(options, each.name) != each.default:
-            flag = "--" + each.name.replace("_", "-")
             why = _WHY[source] if source in _TAKEN else f"it is of {others[0]}"
-            raise BadConfig(f"{flag} does not go with --source {options.source}: {why}")
+            raise BadConfig(f"{flag_of(each)} does not go with --source {options.source}: {why}")
 
 
 def _run_renders(options: Options) -> int:

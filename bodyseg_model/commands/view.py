@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model
-from bodyseg_data.commands import WHERE_HELP, headings, option
+from bodyseg_data.commands import WHERE_HELP, flag_of, headings, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import label_map_names
 from bodyseg_data.rigs import rig_names
@@ -123,7 +123,7 @@ def check_options(options: Options, kind: str) -> None:
     above, other = headings(Options), "Frames" if kind == "set" else "Sets"
     for field in fields(options):
         if above[field.name] == other and getattr(options, field.name) != field.default:
-            raise BadConfig(f"--{field.name.replace('_', '-')} is for {other.lower()}, found it with a {kind}")
+            raise BadConfig(f"{flag_of(field)} is for {other.lower()}, found it with a {kind}")
 
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benches.charts.processors import FOLDER, folder_name
 from benches.measuring import Conditions
-from bodyseg_data.commands import Progress, check_target, option, provenance
-from bodyseg_data.commands.options import flag_of
+from bodyseg_data.commands import Progress, check_target, flag_of, option, provenance
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, new_chart
 from bodyseg_data.files import make_folder, write_json

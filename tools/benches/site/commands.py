@@ -8,9 +8,8 @@ import typing
 from collections.abc import Iterator
 from typing import Any
 
-from bodyseg_data.commands import Commands
+from bodyseg_data.commands import Commands, flag_of
 from bodyseg_data.commands.cli import load_command
-from bodyseg_data.commands.options import flag_of
 
 
 def described_commands(commands: Commands) -> str:
