@@ -251,9 +251,7 @@ class WideBodies(MadeBodies):
     """The bodies of `OpenBodies`, and the subset "wide": 900 people, all for training, each in another posture."""
 
     def __init__(self) -> None:
-        opened = OpenBodies()
-        figures: dict[BodyRef, Maker] = {ref: partial(opened.figure, ref) for ref in opened.bodies()}
-        super().__init__("wide", figures | dict(_drawn()))
+        super().__init__("wide", _figures(dressed=True) | dict(_drawn()))
 
 
 def _drawn() -> Listed:
