@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         last_name,
         make_folder,
         naming,
+        natural_key,
         parse_json,
         part_beside,
         parts_left,

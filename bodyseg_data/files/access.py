@@ -186,6 +186,16 @@ def last_name(path: str) -> str:
     return re.sub(r"(?<=://)[^/@]*@", "", plain) if "://" in path else Path(path).name
 
 
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Sort key that orders numbers in names by value: digits without leading zeros sort by count, then themselves."""
+    parts = re.split(r"([0-9]+)", name)
+    key = []
+    for text, digits in zip(parts[::2], [*parts[1::2], ""], strict=True):
+        plain = digits.lstrip("0")
+        key += [(0, text), (len(plain), plain)]
+    return [*key, (0, name)]
+
+
 def sync(path: Path) -> None:
     """Wait until the disk holds a file, or a folder's entries, so that renames within it survive a power cut."""
     with _opened(path) as handle:

@@ -12,6 +12,7 @@ from typing import Final, Literal
 import numpy as np
 
 from bodyseg_data.core import BadConfig, check_choice
+from bodyseg_data.files import natural_key
 from bodyseg_data.renders.blenderproc import ENDINGS, BlenderProcRenders
 from bodyseg_data.renders.images import SUFFIXES, read_array
 from bodyseg_data.renders.isaac import AXIS, RAY, IsaacRenders, frames
@@ -25,7 +26,6 @@ from bodyseg_data.renders.source import (
     RenderSource,
     Stored,
     by_key,
-    in_order,
 )
 
 _PLANES = "planes"
@@ -37,7 +37,8 @@ class PlainRenders(RenderSource):
     def __init__(self, folder: Path, content: SetFile) -> None:
         optional = [kind for kind in (PROJECTOR, FACING, NORMALS) if (folder / kind).is_dir()]
         home = folder / _PLANES
-        planes = in_order(each.name for each in home.iterdir() if each.is_dir()) if home.is_dir() else []
+        planes = [each.name for each in home.iterdir() if each.is_dir()] if home.is_dir() else []
+        planes.sort(key=natural_key)
         folders = {kind: folder / kind for kind in (RANGE, LABELS, *optional)} | {name: home / name for name in planes}
         super().__init__(content, read_rows(folder, content), {kind: _images(each) for kind, each in folders.items()})
         first = {name: read_array(self._files[name][self._keys[0]]) for name in planes}

@@ -1,7 +1,6 @@
 """Sources of finished renders: what the readers of all layouts share, which is partners, sizes, units and checks."""
 
 import hashlib
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample, check_choice, reported
+from bodyseg_data.files import natural_key
 from bodyseg_data.labels import UNLABELLED, Classes
 from bodyseg_data.renders.images import as_metres, ray_lengths
 from bodyseg_data.renders.set_file import LabelTable, SampleRows, SetFile
@@ -21,7 +21,6 @@ from bodyseg_data.samples import Split, Value, check_key
 RANGE, LABELS, PROJECTOR, FACING, NORMALS = "range", "labels", "projector", "facing", "normals"
 """Kinds of images; any other is a plane."""
 
-_NUMBERS: Final = re.compile(r"(\d+)")
 _NAMED: Final = 3
 _FEW: Final = 0.02
 """Share of labelled pixels that may have no range: borders that two renderers draw half a pixel apart."""
@@ -93,7 +92,7 @@ class RenderSource(ABC):
 
     def _in_order(self) -> list[str]:
         """Keys in the order of the table of samples, else of their names."""
-        keys, rows = in_order(self._files[RANGE]), self._rows
+        keys, rows = sorted(self._files[RANGE], key=natural_key), self._rows
         if rows.path is None:
             return keys
         lacking = [key for key in keys if key not in rows.infos]
@@ -172,15 +171,6 @@ class RenderSource(ABC):
         return as_metres(image.array, content.unit_m, rig.range_step_m, image.where, lengths, content.no_range)
 
 
-def in_order(names: Iterable[str]) -> list[str]:
-    """Sort names by their text, and numbers in them by their value: 2 comes before 10."""
-
-    def parts(name: str) -> list[tuple[int, str]]:
-        return [(len(part), part) if part.isdigit() else (0, part) for part in _NUMBERS.split(name)]
-
-    return sorted(names, key=parts)
-
-
 def named(names: Sequence[str]) -> str:
     """The first few names, and how many more there are."""
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
@@ -201,7 +191,8 @@ def by_key(paths: Iterable[tuple[str, Path]]) -> dict[str, Path]:
 
 def _check_partners(leading: Mapping[str, Path], found: Mapping[str, Path]) -> None:
     """Raise BadConfig unless two kinds of images have the same keys."""
-    missing, extra = in_order(leading.keys() - found.keys()), in_order(found.keys() - leading.keys())
+    ours, theirs = leading.keys() - found.keys(), found.keys() - leading.keys()
+    missing, extra = sorted(ours, key=natural_key), sorted(theirs, key=natural_key)
     homes = " and ".join(str(next(iter(files.values())).parent) for files in (leading, found))
     if missing:
         raise BadConfig(f"{homes}: the second lacks {len(missing)} of {len(leading)} samples: {named(missing)}")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_int, reported
-from bodyseg_data.files import refuse_special
+from bodyseg_data.files import natural_key, refuse_special
 from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
 from bodyseg_model.recordings.recording import MILLIMETRE, Frame, FrameSource, Pixels, check_pixels
@@ -158,16 +158,6 @@ def _of_depth(files: list[Path]) -> list[Path]:
     """Files whose names say depth, if a quarter or more have such names; else all."""
     depth = [file for file in files if _DEPTH_NAME.search(file.stem.lower())]
     return depth if 4 * len(depth) >= len(files) else files
-
-
-def natural_key(name: str) -> list[tuple[int, str]]:
-    """Sort key that orders numbers in names by value: digits without leading zeros sort by count, then themselves."""
-    parts = re.split(r"([0-9]+)", name)
-    key = []
-    for text, digits in zip(parts[::2], [*parts[1::2], ""], strict=True):
-        plain = digits.lstrip("0")
-        key += [(0, text), (len(plain), plain)]
-    return [*key, (0, name)]
 
 
 def result_names(frames: Sequence[Frame]) -> list[str]:

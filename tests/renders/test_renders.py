@@ -39,6 +39,14 @@ def test_plain_folders_hold_any_image_file(tmp_path: Path, ending: str) -> None:
     assert (source.split("scene-003"), render.fields) == ("test", {"robot": "r1", "tilt_deg": 2})
 
 
+def test_scenes_are_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell", table=False)
+    for key, other in (("scene-000", "s10"), ("scene-001", "s0009"), ("scene-002", "s8"), ("scene-003", "s007")):
+        for file in folder.rglob(f"{key}.png"):
+            file.rename(file.with_name(f"{other}.png"))
+    assert open_renders(folder).keys() == ["s007", "s8", "s0009", "s10"]
+
+
 def test_a_tiff_may_be_of_doubles(tmp_path: Path) -> None:
     """As tifffile writes NumPy's default; Pillow alone has no name for it."""
     metres = np.linspace(0.5, 3, 320).reshape(16, 20)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_model.recordings.frames import natural_key
+from bodyseg_data.files import natural_key
 from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, check_pixels, stored_recording
 
 _LONGEST_HEADER: Final = 10_000
