@@ -41,11 +41,11 @@ def tube(points: list[Point], radius: float) -> Solid:
     return Solid(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
-def wheel(radius: float, thick: float, centre: Point, spokes: int) -> Solid:
+def wheel(radius: float, centre: Point, spokes: int) -> Solid:
     """An upright wheel in the plane of the x of `centre`."""
     turns, (x, y, z) = [2 * math.pi * step / 16 for step in range(17)], centre
     rim: list[Point] = [(x, y + radius * math.sin(turn), z + radius * math.cos(turn)) for turn in turns]
-    return together([tube(rim, thick), *(tube([centre, rim[step * 16 // spokes]], 0.006) for step in range(spokes))])
+    return together([tube(rim, 0.02), *(tube([centre, rim[step * 16 // spokes]], 0.006) for step in range(spokes))])
 
 
 def _squares(rows: int, columns: int) -> NDArray[np.int32]:
@@ -97,9 +97,9 @@ def bent(n: Numbers, solid: Solid, by_m: float, wave_m: float = 0.3) -> Solid:
     return Solid(points + moved, solid.faces)
 
 
-def tilted(solid: Solid, angle_rad: float, axis: int, at: Point) -> Solid:
-    """The same, rotated about a line through `at` along an axis, 0 for x or 2 for z."""
-    return Solid((solid.vertices - at) @ about(angle_rad, axis).T + at, solid.faces)
+def tilted(solid: Solid, angle_rad: float, at: Point) -> Solid:
+    """The same, rotated about the line through `at` along x."""
+    return Solid((solid.vertices - at) @ about(angle_rad, 0).T + at, solid.faces)
 
 
 def both(*solids: Solid) -> list[Solid]:
@@ -113,9 +113,9 @@ def legs(width: float, depth: float, height: float, thick: float, splay: float =
     return both(*(tube([(x * (1 + splay), 0, z * (1 + splay)), (x, height, z)], thick) for z in ends))
 
 
-def star(height: float, reach: float = 0.28) -> list[Solid]:
+def star(height: float) -> list[Solid]:
     """Five feet, and the post on them."""
-    ring = [(reach * math.cos(2 * math.pi * foot / 5), reach * math.sin(2 * math.pi * foot / 5)) for foot in range(5)]
+    ring = [(0.28 * math.cos(2 * math.pi * foot / 5), 0.28 * math.sin(2 * math.pi * foot / 5)) for foot in range(5)]
     feet = [tube([(0, 0.12, 0), (x, 0.07, z), (x, 0.0, z)], 0.025) for x, z in ring]
     return [*feet, tube([(0, 0.1, 0), (0, height, 0)], 0.03)]
 
@@ -132,7 +132,7 @@ def chair(n: Numbers, seat_m: float | None = None) -> Solid:
     if kind < 2:  # one board, with a gap below or not
         tall = rise * n.between(0.5, 1.0)
         board = bent(n, slab((width, tall, n.between(0.02, 0.06)), (0, height + rise - tall / 2, z)), 0.03, 0.8)
-        pieces.append(tilted(board, lean, 0, (0, height, z)))
+        pieces.append(tilted(board, lean, (0, height, z)))
     elif kind < 4:  # bars, and rungs or none
         at = [up / 4 for up in range(n.whole(2, 4), 5)]
         pieces += [cuboid((width - 0.04, 0.05, 0.02), (0, height + rise * up, z + lean * up)) for up in at]
@@ -160,7 +160,7 @@ def office_chair(n: Numbers, seat_m: float | None = None) -> Solid:
     back = together(top)
     back = Solid(back.vertices - np.outer(bow * back.vertices[:, 0] ** 2 / width, (0, 0, 4)), back.faces)
     hold = tube([(0, height - 0.06, 0), (0, height - 0.05, depth / 2), (0, height + 0.3, depth / 2 + 0.05)], 0.025)
-    pieces = [bent(n, seat, 0.025), tilted(bent(n, back, 0.025), lean, 0, (0, height, depth / 2)), hold]
+    pieces = [bent(n, seat, 0.025), tilted(bent(n, back, 0.025), lean, (0, height, depth / 2)), hold]
     if n.whole(0, 2):
         x, up = width / 2 + 0.03, height + n.between(0.14, 0.26)
         pieces += both(tube([(x * 0.7, height - 0.05, 0), (x, height, 0), (x, up, 0)], 0.02))
@@ -174,7 +174,7 @@ def folding_chair(n: Numbers, seat_m: float | None = None) -> Solid:
     top, folded = height + n.between(0.3, 0.42), seat_m is None and not n.whole(0, 4)
     pieces = both(tube([(x, 0, -0.2), (x, height, 0.12), (x, top, 0.22)], 0.012))
     pieces += both(tube([(x - 0.03, 0, 0.24), (x - 0.03, height, -0.16)], 0.012))
-    pieces.append(tilted(slab((2 * x, 0.02, 0.36), (0, height, 0)), 1.3 if folded else 0.0, 0, (0, height, 0)))
+    pieces.append(tilted(slab((2 * x, 0.02, 0.36), (0, height, 0)), 1.3 if folded else 0.0, (0, height, 0)))
     pieces.append(bent(n, slab((2 * x, n.between(0.1, 0.25), 0.015), (0, top - 0.06, 0.21)), 0.015, 1.0))
     made = together(pieces)
     return Solid(made.vertices * (1, 1, 0.25 if folded else 1), made.faces)
@@ -207,10 +207,10 @@ def wheelchair(n: Numbers, seat_m: float | None = None) -> Solid:
     height, x, r = seat_m or n.between(0.46, 0.54), n.between(0.22, 0.27), n.between(0.28, 0.31)
     line = [(0.1, -0.5), (height, -0.22), (height, 0.22), (height + 0.48, 0.24), (height + 0.5, 0.36)]
     side = [tube([(x, up, along) for up, along in line], 0.015), cuboid((0.05, 0.03, 0.3), (x, height + 0.22, -0.02))]
-    side += [cuboid((0.12, 0.02, 0.16), (x * 0.5, 0.1, -0.52)), wheel(0.09, 0.02, (x, 0.09, -0.35), 3)]
+    side += [cuboid((0.12, 0.02, 0.16), (x * 0.5, 0.1, -0.52)), wheel(0.09, (x, 0.09, -0.35), 3)]
     back = bent(n, slab((2 * x, 0.42, 0.03), (0, height + 0.24, 0.22)), 0.03, 0.5)
     seat = bent(n, slab((2 * x, 0.05, 0.44), (0, height - 0.025, 0)), 0.02)
-    return together([seat, back, *both(*side, wheel(r, 0.02, (x * 1.2, r, 0.1), 8))])
+    return together([seat, back, *both(*side, wheel(r, (x * 1.2, r, 0.1), 8))])
 
 
 def clutter(n: Numbers, width: float, depth: float, height: float, most: int = 5, large: float = 1.0) -> list[Solid]:
@@ -339,7 +339,7 @@ def tall_plant(n: Numbers) -> Solid:
     for _ in range(n.whole(12, 40)):
         size, turn, up = n.between(0.08, 0.4), n.between(-3.2, 3.2), n.between(pot + 0.05, height)
         leaf = bent(n, slab((size * n.between(0.2, 0.5), 0.008, size), (0, 0, spread * n.between(0.3, 1.0)), 2), 0.03)
-        pieces.append(tilted(leaf, n.between(-0.9, 0.9), 0, (0, 0, 0)).turned(turn).moved((0, up, 0)))
+        pieces.append(tilted(leaf, n.between(-0.9, 0.9), (0, 0, 0)).turned(turn).moved((0, up, 0)))
     return together(pieces)
 
 
@@ -349,7 +349,7 @@ def bicycle(n: Numbers) -> Solid:
     hub, seat, head, pedals = (0, r, base / 2), (0, top, base * 0.2), (0, top, -base * 0.32), (0, 0.28, 0.05)
     lines: list[list[Point]] = [[hub, seat, head, pedals, seat], [hub, pedals], [head, (0, r, -base / 2)]]
     lines.append([(-0.25, top + 0.12, -base * 0.3), (0, top + 0.1, -base * 0.33), (0.25, top + 0.12, -base * 0.3)])
-    wheels = [wheel(r, 0.02, (0, r, z), 8) for z in (-base / 2, base / 2)]
+    wheels = [wheel(r, (0, r, z), 8) for z in (-base / 2, base / 2)]
     saddle = ball((0.15, 0.07, 0.26), (0, top + 0.05, base * 0.2))
     return together([*wheels, saddle, *(tube(line, 0.02) for line in lines)]).turned(math.pi / 2)
 
