@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         fitted,
         font,
         new_chart,
+        plain_axes,
         save_chart,
         save_picture,
     )

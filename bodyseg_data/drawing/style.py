@@ -97,6 +97,13 @@ def new_chart(width: float, height: float) -> Any:
     return figure
 
 
+def plain_axes(axis: Any, grid: Literal["x", "y", "both"] = "y") -> None:
+    """Draw a matplotlib axis with a pale grid behind what it shows, and no frame above and at the right."""
+    axis.grid(axis=grid, color="#e2e2e2", linewidth=0.6)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
 def chart_bytes(figure: Any, kind: Literal["png", "svg"], dpi: int) -> bytes:
     """Encode a matplotlib figure as PNG or SVG; equal figures give equal bytes under one version of matplotlib."""
     import matplotlib

@@ -19,6 +19,7 @@ from bodyseg_data.drawing import (
     fitted,
     font,
     new_chart,
+    plain_axes,
     save_chart,
 )
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels, label_map_from_json
@@ -31,7 +32,6 @@ Tree = dict[str, Any]
 
 _DARK: Final = "#1f4fa8"
 _PALE: Final = "#a9c4ea"
-_GRID: Final = "#e2e2e2"
 _LONGEST: Final = 30  # letters of a name
 _LEAST_SHARE: Final = 0.001  # of pixels, for a bin's accuracy to say anything
 
@@ -98,7 +98,7 @@ def _bars(axis: Any, names: list[str], values: list[float | None], spreads: list
     axis.set_xticks(np.arange(0, 1.01, 0.1), [f"{tick} %" for tick in range(0, 101, 10)], fontsize=9)
     axis.tick_params(axis="y", length=0)
     axis.tick_params(axis="x", labelbottom=True)
-    _plain(axis, "x")
+    plain_axes(axis, "x")
 
 
 def draw_confusion(figures: Tree) -> Any:
@@ -190,7 +190,7 @@ def _risk_coverage(axis: Any, figures: Tree) -> None:
     axis.set_xlabel("coverage: pixels kept, most confident first", fontsize=10)
     axis.set_ylabel("risk: kept pixels that are wrong", fontsize=10)
     axis.set_title(f"Risk and coverage: area {figures['confidence']['aurc']}", loc="left", fontsize=11)
-    _plain(axis, "both")
+    plain_axes(axis, "both")
 
 
 def _reliability(axis: Any, figures: Tree) -> None:
@@ -215,13 +215,7 @@ def _reliability(axis: Any, figures: Tree) -> None:
         f"Reliability: expected calibration error {_percent(figures['confidence']['ece'])}", loc="left", fontsize=11
     )
     axis.legend(loc="upper left", fontsize=9.5, framealpha=1, edgecolor="none")
-    _plain(axis, "both")
-
-
-def _plain(axis: Any, grid: str) -> None:
-    axis.grid(axis=grid, color=_GRID, linewidth=0.6)
-    axis.set_axisbelow(True)
-    axis.spines[["top", "right"]].set_visible(False)
+    plain_axes(axis, "both")
 
 
 def _percent(share: float | None) -> str:

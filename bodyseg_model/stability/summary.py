@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import torch
 
 from bodyseg_data.core import BadConfig, NotedProgress, silent
-from bodyseg_data.drawing import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, plain_axes, save_chart
 from bodyseg_data.labels import BACKGROUND, PARTS33
 from bodyseg_model.evaluation import MEASURABLE, ConfusionMatrix, GrossErrors, count_pairs, over_seeds, pairs_of
 from bodyseg_model.networks import Network, Trained, device_of, load_network, predict
@@ -116,9 +116,7 @@ def _panel(axis: Any, sweep: Tree, bound: float) -> None:
     axis.set_xlabel(sweep["axis"], fontsize=9.5)
     # In two lines: longer titles would run into the next panel's.
     axis.set_title(sweep["title"] + ("" if sweep["counts"] else "\n(not in mCE, mRR)"), loc="left", fontsize=10.5)
-    axis.grid(axis="y", color="#e2e2e2", linewidth=0.6)
-    axis.set_axisbelow(True)
-    axis.spines[["top", "right"]].set_visible(False)
+    plain_axes(axis)
 
 
 def _line(axis: Any, strengths: list[float], curve: Tree, style: _Style, order: int) -> None:

@@ -14,7 +14,18 @@ from benches.charts.scales import thousands
 from benches.model.variants.bench import Results
 from benches.model.variants.real import Shown
 from bodyseg_data.artifacts import VARIANTS
-from bodyseg_data.drawing import FAINT, INK, PAPER, draw_legend, fitted, font, new_chart, save_chart, save_picture
+from bodyseg_data.drawing import (
+    FAINT,
+    INK,
+    PAPER,
+    draw_legend,
+    fitted,
+    font,
+    new_chart,
+    plain_axes,
+    save_chart,
+    save_picture,
+)
 from bodyseg_model.segmentation import draw_overlay
 
 Tree = dict[str, Any]
@@ -49,8 +60,6 @@ _PANELS: Final = {
     ),
 }
 """Sweep -> axis, what strengths are multiplied by, the strength to mark, title."""
-
-_GRID: Final = "#e2e2e2"
 
 
 _GAP: Final = 6
@@ -147,9 +156,7 @@ def _sweep(axis: Any, name: str, sweep: Tree) -> None:
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
     axis.set_xlabel(label, fontsize=10)
     axis.set_title(title, loc="left", fontsize=11)
-    axis.grid(axis="y", color=_GRID, linewidth=0.6)
-    axis.set_axisbelow(True)
-    axis.spines[["top", "right"]].set_visible(False)
+    plain_axes(axis)
 
 
 def _table(axis: Any, table: Tree) -> None:
