@@ -111,8 +111,30 @@ class ShadowTest:
         return answer
 
     def reached(self, projector_range: Range, x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
-        """As the function `reached`, with the thresholds in the rig's steps."""
-        return reached(projector_range, x, y, away, self.gap_steps, self.edge_steps)
+        """Decide whether light reaches points inside the projector's frame, bool [N].
+
+        projector_range: uint16 [Hp, Wp], in the rig's steps. x, y, away: float32 [N], as `project` gives them.
+        """
+        texels, along, below = four_texels(projector_range, x, y)
+        away = np.minimum(away - _ONE, FARTHEST_STEPS)  # less one step, as the texels are
+        nearest = np.minimum(np.minimum(texels[0], texels[1]), np.minimum(texels[2], texels[3]))
+        farthest = np.maximum(np.maximum(texels[0], texels[1]), np.maximum(texels[2], texels[3]))
+
+        # One surface: it is where the interpolated range says.
+        a, b, c, d = (texel.astype(np.float32) for texel in texels)
+        upper, lower = a + along * (b - a), c + along * (d - c)
+        lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= self.gap_steps
+
+        # An edge: votes.
+        torn = np.flatnonzero(farthest - nearest >= self.edge_steps)
+        limit, right, low = (away - self.edge_steps)[torn], along[torn], below[torn]
+        left, high = _ONE - right, _ONE - low
+        votes = [
+            weight * (texel[torn] >= limit)
+            for weight, texel in zip((high * left, high * right, low * left, low * right), (a, b, c, d), strict=True)
+        ]
+        lit[torn] = votes[0] + votes[1] + votes[2] + votes[3] >= _HALF
+        return lit
 
     def check(self, camera_range: Any, projector_range: Any, faces_projector: Any) -> None:
         """Raise BadSample for images of another kind or shape than the rig's."""
@@ -199,37 +221,6 @@ def lit_pixels(rig: Rig, sample: Sample) -> NDArray[np.bool_]:
     for other in others:
         answer |= other.test.lit(sample.range, other.projector_range, other.facing)
     return answer
-
-
-def reached(
-    projector_range: Range, x: Floats, y: Floats, away: Floats, gap_steps: np.float32, edge_steps: np.float32
-) -> NDArray[np.bool_]:
-    """Decide whether light reaches points inside the projector's frame, bool [N].
-
-    projector_range: uint16 [Hp, Wp]. x, y: float32 [N], texel coordinates, whole at texel centres, from -0.5 to below
-    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. gap_steps, edge_steps: float32,
-    the thresholds. Ranges and thresholds are in the rig's steps.
-    """
-    texels, along, below = four_texels(projector_range, x, y)
-    away = np.minimum(away - _ONE, FARTHEST_STEPS)  # less one step, as the texels are
-    nearest = np.minimum(np.minimum(texels[0], texels[1]), np.minimum(texels[2], texels[3]))
-    farthest = np.maximum(np.maximum(texels[0], texels[1]), np.maximum(texels[2], texels[3]))
-
-    # One surface: it is where the interpolated range says.
-    a, b, c, d = (texel.astype(np.float32) for texel in texels)
-    upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= gap_steps
-
-    # An edge: votes.
-    torn = np.flatnonzero(farthest - nearest >= edge_steps)
-    limit, right, low = (away - edge_steps)[torn], along[torn], below[torn]
-    left, high = _ONE - right, _ONE - low
-    votes = [
-        weight * (texel[torn] >= limit)
-        for weight, texel in zip((high * left, high * right, low * left, low * right), (a, b, c, d), strict=True)
-    ]
-    lit[torn] = votes[0] + votes[1] + votes[2] + votes[3] >= _HALF
-    return lit
 
 
 def four_texels(projector_range: Range, x: Floats, y: Floats) -> tuple[list[Range], Floats, Floats]:

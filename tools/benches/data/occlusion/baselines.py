@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Final, Literal
 
 import numpy as np
@@ -14,7 +13,7 @@ from bodyseg_data.artifacts import (
     ShadowTest,
     framed,
 )
-from bodyseg_data.artifacts.occlusion import Floats, four_texels, reached
+from bodyseg_data.artifacts.occlusion import Floats, four_texels
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
@@ -22,7 +21,7 @@ Images = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]
 """Camera range, projector range, facing bit, as `ShadowTest.lit` takes them."""
 
 Rule = Callable[[NDArray[np.uint16], Floats, Floats, Floats], NDArray[np.bool_]]
-"""Projector range, x, y, range of points -> whether light gets there, as `occlusion.reached`."""
+"""Projector range, x, y, range of points -> whether light gets there, as `ShadowTest.reached`."""
 
 Stored = Literal["whole", "occluder", "coarse"]
 """All texels; those that can shade a pixel; those, rounded as far as no pixel's result changes."""
@@ -170,7 +169,7 @@ def _compare(family: str, bias_mm: float, rule: Callable[[float], Rule]) -> Meth
 DEFAULT: Final = Method(
     "interpolated, votes at edges",
     SHADOW_THRESHOLDS.surface_gap_m * 1000,
-    partial(reached, gap_steps=_GAP_STEPS, edge_steps=_EDGE_STEPS),
+    ShadowTest(load_rig()).reached,
 )
 NEAREST: Final = _compare("nearest texel", 20.0, nearest)
 """The default's closest baseline."""

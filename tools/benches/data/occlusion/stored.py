@@ -105,7 +105,7 @@ def shading_texels(
     """The texels that can change the answer for points, bool [Hp, Wp]: those read by a point of whose texels one is
     nearer than the point by more than about `gap`; all others may as well be empty.
 
-    image: uint16 [Hp, Wp]; x, y, away: float32 [N] as in `occlusion.reached`; texels: how many a point reads, 1 or 4.
+    image: uint16 [Hp, Wp]; x, y, away: float32 [N] as in `ShadowTest.reached`; texels: how many a point reads, 1 or 4.
     """
     frame = framed(image)
     indices = _texel_indices(image, x, y, texels)
