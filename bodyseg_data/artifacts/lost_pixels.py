@@ -39,9 +39,8 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
     """Mark one to four ellipses around random pixels of the foreground, lost whole, bool [H, W].
 
     range_image: uint16 [H, W], 0 is background. share: of the foreground, 0 to 1; the ellipses grow together until
-    they hold it. Raises BadConfig for another share.
+    they hold it.
     """
-    _check_share(share)
     box = box_of(range_image)
     if box is None:
         return np.zeros(range_image.shape, np.bool_)
@@ -66,7 +65,6 @@ def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.ra
 
     As `lost_patches`; of a row that is lost in part, pixels are lost from the left.
     """
-    _check_share(share)
     lost = np.zeros(range_image.shape, np.bool_)
     box = box_of(range_image)
     if box is None:
@@ -212,8 +210,3 @@ def _lose_first(
 
 def _rounded(share: float, pixels: int) -> int:
     return math.floor(share * pixels + 0.5)
-
-
-def _check_share(share: float) -> None:
-    if not 0 <= share <= 1:
-        raise BadConfig(f"the share of lost pixels must be from 0 to 1, found {share}")

@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera
 
@@ -37,11 +36,8 @@ def distances_to_parts(
 
     points [N, 3], surface [M, 3]: of one frame of reference, metres. predicted: uint8 [N]; surface_labels: uint8 [M].
     inf where no point of the surface has that part, 0 for a point of the surface with its own label: whoever counts
-    right pixels need not look them up. Needs SciPy (`MEASURABLE`). Raises BadConfig for arrays of other shapes.
+    right pixels need not look them up. Needs SciPy (`MEASURABLE`).
     """
-    for name, each, labels in (("points", points, predicted), ("the surface", surface, surface_labels)):
-        if each.shape != (*labels.shape, 3) or labels.ndim != 1:
-            raise BadConfig(f"{name} must be [N, 3] with labels [N], found {each.shape} and {labels.shape}")
     from scipy.spatial import cKDTree
 
     found = np.full(len(points), np.inf, np.float32)

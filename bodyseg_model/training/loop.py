@@ -12,7 +12,7 @@ import copy
 import itertools
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import NoneType
@@ -102,6 +102,9 @@ def train(
     check_class("run_options", run_options, RunOptions, NoneType)
     if any(each.split is None and each.manifest.samples("test") for each in images.sets):
         warnings.warn("images to train on include the test split: open them with split='train'", stacklevel=2)
+    if validation is not None and (both := _bodies(images.sets) & _bodies(validation.images)):
+        shown = f"{len(both)} bodies that are trained on, like {' '.join(min(both))!r}"
+        warnings.warn(f"images to validate on show {shown}: their scores are too high", stacklevel=2)
     classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
     network = build(network, classes, seed) if isinstance(network, str) else copy.deepcopy(network)
     name = name_of(network)
@@ -115,6 +118,12 @@ def train(
             training.run(resume, report or (lambda metrics: None), {"read_from": read_from, **(facts or {})})
         processes.wait()  # the others, until the first has written the network
     return load_network(folder.path)
+
+
+def _bodies(sets: Iterable[RangeImages]) -> set[tuple[str, ...]]:
+    """Subset, subject and mesh of all bodies of sets that are packed from bodies."""
+    tables = [images.table() for images in sets if images.manifest.fields.of_bodies]
+    return {row for table in tables for row in zip(table["subset"], table["subject"], table["mesh"], strict=True)}
 
 
 _WAIT_NAMED: Final = 0.01  # share of time spent waiting from which on the log says what for

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import Flip
 from bodyseg_data.rigs import Camera
@@ -62,12 +61,6 @@ def test_a_point_of_the_surface_is_at_no_distance_of_its_own_part() -> None:
     assert not distances_to_parts(surface, labels, surface, labels).any()
     assert distances_to_parts(surface[:0], labels[:0], surface, labels).shape == (0,)
     assert np.isinf(distances_to_parts(surface, labels, surface[:0], labels[:0])).all()
-
-
-def test_arrays_must_fit() -> None:
-    labels = np.zeros(4, np.uint8)
-    with pytest.raises(BadConfig, match=r"the surface must be \[N, 3\] with labels \[N\], found \(5, 3\) and \(4,\)"):
-        distances_to_parts(np.zeros((4, 3)), labels, np.zeros((5, 3)), labels)
 
 
 def flat_image() -> tuple[np.ndarray, np.ndarray]:
