@@ -68,7 +68,7 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
                 _with_ranges(arguments), result_action="return_value", exit_on_error=False, print_error=False
             )
     except CycloptsError as error:
-        wrong = str(error).rstrip(".")
+        wrong = str(error).rstrip(".").replace("Unused Tokens:", "no option takes")
         if isinstance(error, MissingArgumentError) and error.keyword is None:  # the option was not given at all
             wrong = wrong.replace("requires an argument", "is missing")
         raise BadConfig(f"{wrong} (see {program} --help)") from None
