@@ -124,21 +124,21 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame,
     """
     with reported(f"cannot read {path}", BadConfig, OSError):
         files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
-    if pngs := _of_depth([file for file in files if file.suffix.lower() == ".png"]):
+    files = _of_depth([file for file in files if file.suffix.lower() in (".png", *SUFFIXES)])
+    if pngs := [file for file in files if file.suffix.lower() == ".png"]:
         return _pngs([png_file(file) for file in pngs], path, topic, step_m)
     if (found := find_format(path)) is not None:
         return found.open(path, topic, step_m)
-    parts = _of_depth([file for file in files if file.suffix.lower() in SUFFIXES])
     inner = [path / name for name in _DEPTH_FOLDERS if (path / name).is_dir()]
-    if not parts and inner:
+    if not files and inner:
         return _folder(inner[0], topic, step_m)
-    if not parts:
+    if not files:
         raise BadConfig(
             f"a folder of frames must hold .png files or recordings ({', '.join(SUFFIXES)}), found none in {path}"
         )
-    parts.sort(key=lambda part: natural_key(part.name))
+    files.sort(key=lambda file: natural_key(file.name))
     frames = list[Frame]()
-    for part in parts:
+    for part in files:
         opened = open_recording(part, topic, step_m)
         sequence = frames[-1].sequence if frames else 0
         if frames and not _goes_on(frames[-1], opened[0]):

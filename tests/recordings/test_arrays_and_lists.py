@@ -218,6 +218,14 @@ def test_depth_beside_colour_is_read_alone(tmp_path: Path, depth: str, colour: s
         np.testing.assert_array_equal(frame.read(), values)
 
 
+def test_infrared_beside_depth_of_another_format_is_no_range(tmp_path: Path) -> None:
+    """PNGs come first only among files of one kind: frames of infrared show nobody."""
+    for number in range(3):
+        (tmp_path / f"ir_{number}.png").write_bytes(png())
+        np.save(tmp_path / f"depth_{number}.npy", STACK[number])
+    assert [frame.name for frame in find_frames([tmp_path])] == ["depth_0", "depth_1", "depth_2"]
+
+
 def test_one_name_with_depth_among_many_chooses_nothing(tmp_path: Path) -> None:
     for name in ("0", "1", "2", "3", "depth"):
         (tmp_path / f"{name}.png").write_bytes(png())
