@@ -128,8 +128,9 @@ class LiveRecording(Checked):
     def __iter__(self) -> Iterator[Frame]:
         for index, item in enumerate(self.arrays):
             name = f"{self.where}-{index:06d}"
-            with reported(f"{name} must be an array, or a tuple of seconds and an array", BadConfig, ValueError):
+            with reported(f"{name} must be an array or a tuple (seconds, array)", BadConfig, ValueError, TypeError):
                 time_s, pixels = item if isinstance(item, tuple) else (None, item)
+                time_s = None if time_s is None else float(time_s)  # no image, as of a pair of range and infrared
                 # A copy: drivers write the next frame into the same array.
                 pixels = np.array(np.ma.filled(np.asanyarray(pixels), 0))
             step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m

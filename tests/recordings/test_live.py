@@ -45,8 +45,8 @@ def test_any_iterable_is_a_recording_and_is_read_as_it_comes() -> None:
     ):
         next(iter(LiveRecording([np.zeros((3, 3), complex)]))).read()
     wrong: Any
-    for wrong in ([0.5, RAMP], (0.5, 1, RAMP)):
-        with pytest.raises(BadConfig, match="^live-000000 must be an array, or a tuple of seconds and an array: "):
+    for wrong in ([0.5, RAMP], (0.5, 1, RAMP), (RAMP, RAMP // 2), ("12:00", RAMP)):
+        with pytest.raises(BadConfig, match=r"^live-000000 must be an array or a tuple \(seconds, array\): "):
             next(iter(LiveRecording([wrong])))
 
 
