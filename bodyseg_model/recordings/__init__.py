@@ -19,6 +19,6 @@ if TYPE_CHECKING:
         to_metres,
     )
     from bodyseg_model.recordings.label_bags import LabelsOut, labels_out
-    from bodyseg_model.recordings.recording import Frame, LiveRecording, Pixels, Stamp, evenly_apart
+    from bodyseg_model.recordings.recording import Frame, LiveRecording, Pixels, Stamp, check_metres, evenly_apart
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -25,6 +25,8 @@ LARGEST_SIDE: Final = 4096
 MOST_FRAMES: Final = 1 << 20  # of one file: ten hours at 30 a second
 
 _MOST_STEPS: Final = 65535
+_AS_METRES: Final = "a sensor's whole numbers times its unit, 0.001 m for most, are metres"
+_FARTHEST_M: Final = 100.0  # no range camera sees its nearest surface there
 
 Pixels = NDArray[np.uint16]
 
@@ -159,12 +161,14 @@ def in_steps(values: NDArray[Any], float_m: float = 1.0) -> Pixels:
     """Convert pixels to uint16 [H, W]: whole numbers as they are, floating point rounded to `FLOAT_STEP_M`.
 
     float_m: metres that 1.0 is. Floating point that is not finite or beyond the last step, and all that is not above 0,
-    becomes 0, nothing measured. Raises BadConfig for another type or shape, and for whole numbers of more than 16 bits.
+    becomes 0, nothing measured. Raises BadConfig for another type or shape, for whole numbers of more than 16 bits, and
+    as `check_metres`.
     """
     check_pixels(values.shape, values.dtype)
     if values.dtype.kind == "f":
         metres = values.astype(np.float32) if values.dtype.itemsize < 4 else values
         with np.errstate(over="ignore", invalid="ignore"):
+            check_metres(metres, float_m)
             steps = np.rint(metres * (float_m / FLOAT_STEP_M))
             return np.where((steps > 0) & (steps < _MOST_STEPS), steps, 0).astype(np.uint16, "C")
     if values.dtype.itemsize > 2 and values.size and values.max() > _MOST_STEPS:
@@ -172,6 +176,18 @@ def in_steps(values: NDArray[Any], float_m: float = 1.0) -> Pixels:
     if values.dtype.kind == "i":
         values = np.maximum(values, 0)
     return values.astype(np.uint16, "C")
+
+
+def check_metres(values: NDArray[Any], float_m: float = 1.0) -> None:
+    """Raise BadConfig for whole numbers [H, W], which are a sensor's steps, and where nothing measured is nearer than
+    `_FARTHEST_M`, as in millimetres, but for one value, as of a sky. float_m: metres that 1.0 is.
+    """
+    if values.dtype.kind != "f":
+        raise BadConfig(f"a frame must be of floating point, metres, found {values.dtype}: {_AS_METRES}")
+    few = values[:: len(values) // 64 + 1] * float_m
+    nearest_m = np.min(few, initial=np.inf, where=few > 0)
+    if _FARTHEST_M <= nearest_m < np.max(few, initial=0.0, where=few < np.inf):
+        raise BadConfig(f"a frame must be in metres, found nothing nearer than {nearest_m:.0f}: {_AS_METRES}")
 
 
 def stored_recording(

@@ -25,6 +25,7 @@ from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import compile_ahead
 from bodyseg_data.rigs import Camera, Distortion, Rig, load_rig
 from bodyseg_data.samples import FARTHEST_STEPS
+from bodyseg_model.recordings import check_metres
 
 LARGEST_SIDE: Final = 2048
 """Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""
@@ -38,9 +39,6 @@ that it meets, and views of one size go through a network together."""
 
 USUAL_PEOPLE: Final = 3
 """Surfaces of one size that a frame may show a network, for which `usual_views` prepares it."""
-
-_FARTHEST_M: Final = 100.0  # no range camera sees its nearest surface there
-_AS_METRES: Final = "a sensor's whole numbers times its unit, 0.001 m for most, are metres"
 
 
 @dataclass(frozen=True)
@@ -166,8 +164,7 @@ def check_size(shape: tuple[int, ...], camera: Camera) -> None:
 def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
     """A copy of a frame, float32 [H, W], metres: an array, whose masked pixels are 0, or tensor of floating point.
 
-    Raises BadConfig for another size than the camera's; for whole numbers, which are a sensor's steps; and where
-    nothing that was measured is nearer than `_FARTHEST_M`, as in millimetres, but for one value, as of a sky.
+    Raises BadConfig for another size than the camera's, and as `check_metres`.
     """
     if hasattr(frame, "detach"):  # a tensor, also of bfloat16, which NumPy has not
         frame = frame.detach().cpu()
@@ -175,12 +172,7 @@ def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
     with reported("a frame must be an array (of pairs with times, LiveRecording makes frames)", BadConfig, ValueError):
         values: NDArray[Any] = np.ma.filled(np.asanyarray(frame), 0)
     check_size(values.shape, camera)
-    if values.dtype.kind != "f":
-        raise BadConfig(f"a frame must be of floating point, metres, found {values.dtype}: {_AS_METRES}")
-    few = values[:: len(values) // 64 + 1]
-    nearest_m = np.min(few, initial=np.inf, where=few > 0)
-    if _FARTHEST_M <= nearest_m < np.max(few, initial=0.0, where=few < np.inf):
-        raise BadConfig(f"a frame must be in metres, found nothing nearer than {nearest_m:.0f}: {_AS_METRES}")
+    check_metres(values)
     return np.array(values, np.float32, order="C")  # drivers write the next frame into the same array
 
 

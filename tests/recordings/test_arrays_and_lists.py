@@ -264,6 +264,13 @@ def test_arrays_of_other_shapes_and_types_are_refused(tmp_path: Path) -> None:
         open_recording(tmp_path / "a.png", "a")
 
 
+def test_floating_point_in_millimetres_is_no_empty_room(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", 1500 + RAMP.astype(np.float32) / 100)
+    with pytest.raises(BadConfig, match="a.npy.*: a frame must be in metres, found nothing nearer than 1500: "):
+        open_recording(tmp_path / "a.npy")[0].read()
+    assert open_recording(tmp_path / "a.npy", None, 0.001)[0].read().all()
+
+
 @pytest.mark.parametrize("kind", [np.int16, np.int32, np.uint32, np.int64, np.uint64, ">i4"])
 def test_whole_numbers_of_any_size_are_steps(tmp_path: Path, kind: str) -> None:
     """What is below 0 was not measured; what 16 bits cannot hold is refused, not wrapped around."""
