@@ -7,6 +7,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.rigs import Rig
 from bodyseg_model.recordings import FrameCamera, evenly_apart
 from bodyseg_model.segmentation import LabelledFrame
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
@@ -18,6 +19,7 @@ _LEAST_MIXED_SHARE: Final = 0.05
 _JUMP_M: Final = 0.03
 _WIDE: Final = 6.0  # least gap, in jumps: limbs that turn away bridge smaller ones
 _NOISES: Final = 8.0
+_LEAST, _MOST = 0.7, 1.5  # measured baseline over the rig's, which is 0.71 for a projector as far above as beside
 
 
 def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
@@ -129,13 +131,15 @@ class ShadowFrames:
         return probably_mirrored(shadow, camera.projector_side)
 
 
-def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None, beside: bool = True) -> Finding:
-    """The finding of "occlusion". projector: its side of the camera where the sensor is known; beside: if not above."""
+def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None, rig: Rig | None = None) -> Finding:
+    """The finding of "occlusion". projector: its side of the camera where the sensor is known; rig: the sensor's."""
     if shadow is None:
         return Finding("occlusion", UNKNOWN, f"fewer than {_LEAST_GAPS} rows show the room behind a body on both sides")
     estimates = {f"baseline_{side}_m": estimate for side, estimate in shadow.baseline_m.items()}
     widths = ", ".join(f"{width:.3g} px {side}" for side, width in shadow.width_px.items())
+    several = rig is not None and rig.second_projector is not None
     if max(shadow.width_px.values()) < _LEAST_PX:
+        beside = projector is not None or rig is None or several or rig.baseline_m == 0
         verdict, why = (NOT_SEEN, "") if beside else (UNKNOWN, ": a projector above or below casts none there")
         return Finding("occlusion", verdict, f"gaps beside bodies are {widths}{why}", estimates)
     sides = ", ".join(f"{estimate} m {side}" for side, estimate in shadow.baseline_m.items())
@@ -153,6 +157,8 @@ def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None, besid
     if (mirrored := probably_mirrored(shadow, projector)) is not None:
         can, are = ("cannot", "probably") if mirrored else ("does", "not")
         reason += f"; a projector on the camera's {projector} {can} cast them there: frames are {are} mirrored"
+        if rig and not several and not _LEAST <= estimates["baseline_m"].value / rig.baseline_m <= _MOST:
+            reason += f"; the rig's baseline is {rig.baseline_m:.3g} m"
     return Finding("occlusion", NEEDED, reason, estimates)
 
 

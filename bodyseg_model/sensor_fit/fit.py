@@ -82,9 +82,8 @@ def fit_sensor(recording: MarkedRecording, camera: FrameCamera, progress: Progre
     progress(1, 3)
     findings = measure_losses(outlines_of(recording))
     progress(2, 3)
-    side, rig = camera.projector_side, camera.rig
-    beside = side is not None or rig is None or rig.second_projector is not None or rig.baseline_m == 0
-    findings += [measure_noise(recording), measure_mixed_pixels(recording), shadow_finding(shadow, side, beside)]
+    side = camera.projector_side
+    findings += [measure_noise(recording), measure_mixed_pixels(recording), shadow_finding(shadow, side, camera.rig)]
     progress(3, 3)
     ordered = tuple(sorted(findings, key=lambda each: ORDER.index(each.artifact)))
     return SensorFit(ordered, shadow, probably_mirrored(shadow, side), recording.still, len(recording.frames))

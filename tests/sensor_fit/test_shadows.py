@@ -26,6 +26,9 @@ def test_the_baseline_follows_from_the_width() -> None:
     finding = shadow_finding(shadow, "right")
     assert finding.verdict == NEEDED and finding.reason.endswith("frames are not mirrored")
     assert finding.estimates["baseline_m"].value == pytest.approx(0.075, rel=0.1)
+    assert shadow_finding(shadow, "right", RIG).reason == finding.reason
+    wrong = replace(RIG, projector=replace(RIG.projector, position_m=(0.0075, 0.0, 0.0), aims_at_m=(0.0075, 0.0, 1.0)))
+    assert shadow_finding(shadow, "right", wrong).reason == f"{finding.reason}; the rig's baseline is 0.0075 m"
 
 
 def test_mirrored_frames_have_their_shadow_on_the_projectors_side() -> None:
