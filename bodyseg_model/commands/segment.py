@@ -99,7 +99,7 @@ class Options:
     far: float | None = option("with people or limits: what is farther is background, metres (default: 6)", None)
     confidence: float = option("leave pixels of less confidence than this, 0 to 1, without a label", 0.0)
     no_overlay: bool = option(
-        "write labels and summary alone: no overlay, preview.gif and legend.png", False, heading="Output"
+        "write labels, persons and summary alone: no overlay, preview.gif, legend.png", False, heading="Output"
     )
     skip_unreadable: int = option("skip up to this many frames that cannot be read; summary.json lists them", 0)
     fps: float = option("frames a second of preview.gif, and of --labels-out where frames have no times", 10.0)
