@@ -299,7 +299,7 @@ class _JoinedBags:
 
     def __init__(self, path: Path) -> None:
         files = sorted(path.glob("[!.]*"), key=lambda file: (len(file.name), file.name))
-        packed = [file for file in files if file.suffix.lower() in _PACKED]
+        packed = [file for file in files if file.suffix.lower() in _PACKED and file.with_suffix("") not in files]
         if packed:
             raise BadConfig(f"files of a bag must be decompressed first, by `zstd -d`: {packed[0]}")
         parts = [_ROS2_STORAGE[file.suffix.lower()](file) for file in files if file.suffix.lower() in _ROS2_STORAGE]

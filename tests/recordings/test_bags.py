@@ -296,8 +296,15 @@ def test_other_files_under_these_names_are_refused(tmp_path: Path) -> None:
     assert "must hold .db3 or .mcap files, found none" in refusal(tmp_path / "folder")
     (tmp_path / "folder" / "a.db3").mkdir()
     assert refusal(tmp_path / "folder").startswith(f"cannot read {tmp_path / 'folder' / 'a.db3'}: ")
-    (tmp_path / "folder" / "a.db3.zstd").write_bytes(b"")
+    (tmp_path / "folder" / "b.db3.zstd").write_bytes(b"")
     assert "must be decompressed first" in refusal(tmp_path / "folder")
+
+
+def test_a_file_that_was_decompressed_is_read(tmp_path: Path) -> None:
+    """`zstd -d` keeps the compressed file beside it."""
+    path = next(write_ros2(tmp_path / "a", stream()).glob("*.db3"))
+    path.with_suffix(".db3.zstd").write_bytes(b"")
+    assert len(open_recording(tmp_path / "a")) == len(open_recording(path))
 
 
 def test_messages_of_sqlite_may_be_compressed_or_lost(tmp_path: Path) -> None:
