@@ -116,6 +116,11 @@ def bag_recording(
     (found,) = chosen[:1]
     first = _first_message(bag, found)
     floating = first is not None and encoding(first, found.kind) == _METRES
+    no_camera = ""
+    try:
+        camera = camera_beside(bag, found, str(path))
+    except BadConfig as error:
+        camera, no_camera = None, str(error)
     return stored_recording(
         path,
         _Images(bag, found, floating),
@@ -123,8 +128,9 @@ def bag_recording(
         floating,
         step_m,
         _stored_step(bag, found),
-        camera_beside(bag, found, str(path)),
+        camera,
         found.name,
+        no_camera,
     )
 
 

@@ -30,8 +30,11 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
 
     A frame's own file comes before `CAMERAS`, and there an entry of its name before "default". A JSON file of a frame's
     name without any of fx, fy, cx and cy is not taken for a camera. Raises BadConfig, naming the file, for one that is
-    damaged, incomplete or out of range.
+    damaged, incomplete or out of range, and for one of a recording that cannot be used.
     """
+    for frame in frames:
+        if frame.no_camera:
+            raise BadConfig(frame.no_camera)
     shared = cache(_shared)  # files are read once
 
     @cache

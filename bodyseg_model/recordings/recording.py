@@ -77,7 +77,8 @@ class Frame:
     time_s: when it was recorded, seconds, None if that is not stored. camera: stored with the recording, if any.
     step_m: metres a step. float_m: metres that 1.0 is in floating point.
     sequence: number of the input that it is from, or of the part of a folder of recordings; single files are input 0.
-    Frames of other sequences were not taken directly before or after it.
+    Frames of other sequences were not taken directly before or after it. no_camera: why the camera stored with it
+    cannot be used, which ends what needs that camera; another may be given.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Frame:
     camera: Intrinsics | None = None
     float_m: float = 1.0
     sequence: int = 0
+    no_camera: str = ""
 
     @property
     def path_id(self) -> str:
@@ -199,6 +201,7 @@ def stored_recording(
     own_step_m: float | None = None,
     camera: Intrinsics | None = None,
     part: str = "",
+    no_camera: str = "",
 ) -> tuple[Frame, ...]:
     """List the frames of a file that holds many: one for each of `times_s`, or so many without times.
 
@@ -226,6 +229,7 @@ def stored_recording(
             step_m,
             camera,
             given_step_m or 1.0,
+            no_camera=no_camera,
         )
         for index, time_s in enumerate(times_s)
     )

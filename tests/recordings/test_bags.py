@@ -34,7 +34,8 @@ from rvl_encoder import encode_rvl
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.labels import PARTS33
-from bodyseg_model.recordings import Stamp, find_frames, labels_out, to_metres
+from bodyseg_data.rigs import load_rig
+from bodyseg_model.recordings import FrameCameras, Skipping, Stamp, find_frames, labels_out, to_metres
 from bodyseg_model.recordings import bag_files as mcap_files
 from bodyseg_model.recordings import bag_files as ros1
 from bodyseg_model.recordings import bag_files as sqlite_files
@@ -165,10 +166,12 @@ def test_recordings_of_realsense_name_their_unit(tmp_path: Path) -> None:
     assert open_recording(tmp_path / "a.bag", step_m=1e-4)[0].step_m == 1e-4
 
 
+def with_info(path: Path, topic: str = DEPTH, **info: Any) -> Any:
+    return open_recording(write_mcap(path, [camera_info(RAMP.shape, **info), image(RAMP, "16UC1", topic=topic)]))
+
+
 def camera_of(path: Path, topic: str = DEPTH, **info: Any) -> Any:
-    return open_recording(write_mcap(path, [camera_info(RAMP.shape, **info), image(RAMP, "16UC1", topic=topic)]))[
-        0
-    ].camera
+    return with_info(path, topic, **info)[0].camera
 
 
 def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
@@ -194,8 +197,11 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
         ({"k": np.array([-1.0, 0, 1, 0, 1, 1, 0, 0, 1])}, "focal lengths must be above 0"),
         ({"k": np.array([1.0, 0, 1, 0, 0, 1, 0, 0, 1])}, "focal lengths must be above 0, found 1 and 0"),
     ):
+        frames = with_info(path, **wrong)
+        given = FrameCameras(frames, None, 100.0, (), load_rig(), Skipping())
+        assert given.first.camera.focal_px == 100, "a camera that is given takes its place"
         with pytest.raises(BadConfig) as caught:
-            camera_of(path, **wrong)
+            FrameCameras(frames, None, None, (), load_rig(), Skipping())
         assert message in str(caught.value) and INFO in str(caught.value)
 
 
@@ -336,7 +342,8 @@ def test_pieces_are_decompressed_up_to_a_limit(monkeypatch: pytest.MonkeyPatch, 
     paths = [WRITERS[name](tmp_path / name, stream()) for name in names]
     monkeypatch.setattr(compression, "LARGEST_MESSAGE", 1000)
     for path in paths:
-        assert "a piece must have at most 1000 bytes" in refusal(path, DEPTH)
+        with pytest.raises(BadConfig, match="a piece must have at most 1000 bytes"):
+            open_recording(path, DEPTH)[0].read()
     for module, name, message in (
         (ros1, "a.bag", "a chunk must have at most 1000 bytes"),
         (mcap_files, "plain.mcap", "is of kind 6 and has"),
