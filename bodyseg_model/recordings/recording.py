@@ -77,8 +77,7 @@ class Frame:
     time_s: when it was recorded, seconds, None if that is not stored. camera: stored with the recording, if any.
     step_m: metres a step. float_m: metres that 1.0 is in floating point.
     sequence: number of the input that it is from, or of the part of a folder of recordings; single files are input 0.
-    Frames of other sequences were not taken directly before or after it. no_camera: why the camera stored with it
-    cannot be used, which ends what needs that camera; another may be given.
+    Frames of other sequences were not taken directly before or after it. no_camera: why a stored camera is of no use.
     """
 
     name: str
@@ -189,7 +188,8 @@ def check_metres(values: NDArray[Any], float_m: float = 1.0) -> None:
     few = values[:: len(values) // 64 + 1] * float_m
     nearest_m = np.min(few, initial=np.inf, where=few > 0)
     if _FARTHEST_M <= nearest_m < np.max(few, initial=0.0, where=few < np.inf):
-        raise BadConfig(f"a frame must be in metres, found nothing nearer than {nearest_m:.0f}: {_AS_METRES}")
+        found = f"nothing nearer than {nearest_m:.0f}: a file may have other --units, and {_AS_METRES}"
+        raise BadConfig(f"a frame must be in metres, found {found}")
 
 
 def stored_recording(
