@@ -6,6 +6,7 @@ these classes: its column `TEMPLATE` tells where on the template every pixel lie
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
@@ -176,6 +177,19 @@ class LabelMap:
     def has_mirror_image(self) -> bool:
         """True if images may be flipped: see `mirrored`."""
         return self._lopsided is None
+
+    @property
+    def unpaired(self) -> tuple[str, str] | None:
+        """The first two classes, each its own mirror image, whose names differ by a capital L and R alone, as `FL` and
+        `FR`: names of no word for a side, which pair no classes. None without any.
+        """
+        own = [name for label, name in enumerate(self.names) if self.mirrored[label] == label]
+        for name in own:
+            for found in re.finditer("L(?![a-z])", name):
+                other = f"{name[: found.start()]}R{name[found.end() :]}"
+                if other in own:
+                    return name, other
+        return None
 
     @cached_property
     def _lopsided(self) -> str | None:

@@ -175,6 +175,25 @@ def test_a_map_that_its_mirror_image_splits_is_fine_until_images_are_flipped(cla
         _ = lopsided.mirrored
 
 
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (("trunk", "RL", "FL", "FR", "RR"), ("RL", "RR")),
+        (("LF", "LR", "RF", "tail"), ("LF", "RF")),
+        (("thumbL", "thumbR"), ("thumbL", "thumbR")),
+        (("Lamp", "Ramp", "loof", "roof"), None),
+        (("thumb_L", "thumb_R"), None),
+        (("Left", "Right", "FL"), None),
+        ((LabelClass("FL", mirror="FR"), "FR"), None),
+    ],
+)
+def test_names_that_differ_by_a_letter_for_the_side_are_found_where_they_are_no_pair(
+    names: Any, found: tuple[str, str] | None
+) -> None:
+    assert whole_map(classes_of(names)).unpaired == found
+    assert PARTS33.unpaired is None
+
+
 CELL = Classes(
     "cell",
     (

@@ -6,13 +6,15 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from label_networks import Places
+from small_rig import SMALL
 from small_training import RECIPE, TINY, written
 from torch.utils.data import ConcatDataset
 
-from bodyseg_data import BadConfig, RangeImages
+from bodyseg_data import BadConfig, LabelClass, RangeImages, ShardWriter
 from bodyseg_model import RunOptions, Validation, load_network, train
 from bodyseg_model.networks import build
 from bodyseg_model.training import Metrics
@@ -130,6 +132,23 @@ def test_bodies_that_are_trained_and_validated_on_are_told(small_set: Path, tmp_
         train(whole, tmp_path / "run", network, RECIPE_OF_TWO, validation=held_out, run_options=ALONE, device="cpu")
     rest = RangeImages(small_set, split="train", val_share=0.5)
     train(rest, tmp_path / "rest", network, RECIPE_OF_TWO, validation=held_out, run_options=ALONE, device="cpu")
+
+
+def test_names_of_two_sides_that_are_no_pair_are_told(tmp_path: Path) -> None:
+    """Half of the images are mirrored, in which their labels would stay as they are."""
+    seen = np.full((SMALL.camera.rows, SMALL.camera.columns), 2.0)
+    for name, classes in (("own", ["FL", "FR"]), ("said", [LabelClass("FL", mirror="FR"), "FR"])):
+        with ShardWriter(tmp_path / name, rig=SMALL, classes=classes, projector="none", workers=0) as out:
+            for number in range(RECIPE.batch_size):
+                out.write(key=f"room-{number}", range_m=seen, labels=np.full(seen.shape, number % 2, np.uint8))
+    network, told = build("compact", TINY | {"classes": 2}, 0), "^classes FL and FR are no mirror images of each other"
+    with pytest.warns(UserWarning, match=told):
+        own = RangeImages(tmp_path / "own", "none")
+        train(own, tmp_path / "run", network, RECIPE_OF_TWO, run_options=ALONE, device="cpu")
+    unmirrored = dataclasses.replace(RECIPE_OF_TWO, mirror=False)
+    train(own, tmp_path / "run 2", network, unmirrored, run_options=ALONE, device="cpu")
+    said = RangeImages(tmp_path / "said", "none")
+    train(said, tmp_path / "run 3", network, RECIPE_OF_TWO, run_options=ALONE, device="cpu")
 
 
 def test_surfaces_that_no_class_has_are_refused(small_set: Path, tmp_path: Path) -> None:
