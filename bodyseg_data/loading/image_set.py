@@ -224,6 +224,14 @@ def _other_sharding(frame: FrameType | None) -> str | None:
     return None
 
 
+def _has_ended(frame: FrameType) -> bool:
+    """Whether torchdata's StatefulDataLoader, with workers, resumes a pass that had ended: it draws batches, drops them
+    and begins another pass.
+    """
+    above = frame.f_back if frame.f_code.co_name == "_restore_main_state" else None
+    return above is not None and above.f_locals.get("next_iter_state", {}).get("_iterator_finished", False)
+
+
 def batch_bounds(samples: int, start: int, batch_size: int, world_size: int, drop_last: bool) -> list[int]:
     """Positions at which the global batches of an epoch begin, from `start` on, and the end of the last one.
 
@@ -387,7 +395,10 @@ class BatchOrder(Sampler[list[Request]]):
 
     def __iter__(self) -> Iterator[list[Request]]:
         """Batches of the next pass. Raises BadConfig where they are shared out to ranks twice, or never."""
-        other = _other_sharding(sys._getframe(1))
+        caller = sys._getframe(1)
+        if _has_ended(caller):
+            return iter(())
+        other = _other_sharding(caller)
         if other is not None and self.world_size > 1:
             raise BadConfig(
                 f"batches are shared out to {self.world_size} ranks, and {other} would share them out again and lose "

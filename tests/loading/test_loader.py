@@ -238,6 +238,11 @@ def test_a_stateful_dataloader_goes_on(
             found = found or [bits(batch) for batch in again]
         end = 12 if done >= 6 else 6
         assert found == expected[done:end]
+    ended = fresh()
+    assert len(list(ended)) == 6
+    again = fresh()
+    again.load_state_dict(ended.state_dict())
+    assert [bits(batch) for batch in again] == expected[6:12]
 
 
 def test_indices_alone_draw_for_the_epoch_that_was_set(small_set: Path) -> None:
