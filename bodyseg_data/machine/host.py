@@ -20,7 +20,8 @@ _INSTRUCTIONS: Final = {"amx_tile": "AMX", "avx512f": "AVX-512"}
 _BFLOAT16: Final = frozenset({"amx_bf16", "avx512_bf16"})
 """The flags of processors with instructions for bfloat16; others compute it by way of float32, slower than that."""
 
-_SHARE: Final = "/sys/fs/cgroup/cpu.max"  # a container's microseconds a period, as by `docker run --cpus 2`
+_SHARE: Final = ("cpu.max", "cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")
+"""Files of a container's microseconds a period, as by `docker run --cpus 2`: of cgroup 2, or two of cgroup 1."""
 
 _TRIM_THRESHOLD: Final = (-1, 1 << 28)
 _MMAP_THRESHOLD: Final = (-3, 1 << 25)
@@ -31,8 +32,9 @@ a mapping of its own, 32 MB at most."""
 def processors() -> int:
     """Return the number of processors that this process may use, no more than a container's share of their time."""
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    quota, period = " ".join(_lines(_SHARE)).split() or ("max", "1")
-    return count if quota == "max" else min(count, max(1, round(int(quota) / int(period))))
+    share = [line for name in _SHARE for line in _lines(f"/sys/fs/cgroup/{name}")]
+    quota, period = " ".join(share).split() or ("max", "1")
+    return count if quota in ("max", "-1") else min(count, max(1, round(int(quota) / int(period))))
 
 
 def hardware() -> str:

@@ -11,6 +11,7 @@ import torch.distributed
 
 from bodyseg_data.core import check_int
 from bodyseg_data.loading import find_rank
+from bodyseg_data.machine import processors
 from bodyseg_model.networks import find_device
 
 
@@ -56,6 +57,11 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 
 def use_threads(count: int | None) -> None:
-    """Set the number of threads in which torch computes; None leaves it. Raises BadConfig for less than one."""
+    """Set the number of threads in which torch computes. Raises BadConfig for less than one.
+
+    None: no more than `processors`, as torch knows nothing of a container's share, in which threads stop each other.
+    """
     if count is not None:
         torch.set_num_threads(check_int("--threads", count, 1))
+    elif torch.get_num_threads() > processors():
+        torch.set_num_threads(processors())

@@ -30,13 +30,17 @@ def test_a_processor_is_named_without_trade_marks_and_with_its_widest_instructio
 
 @pytest.mark.parametrize(
     ("share", "expected"),
-    [([], 8), (["max 100000"], 8), (["200000 100000"], 2), (["50000 100000"], 1), (["1600000 100000"], 8)],
+    [("", 8), ("max 100000", 8), ("-1 100000", 8), ("200000 100000", 2), ("50000 100000", 1), ("1600000 100000", 8)],
 )
+@pytest.mark.parametrize("version", [1, 2])
 def test_a_containers_share_of_time_counts_as_so_many_processors(
-    share: list[str], expected: int, monkeypatch: pytest.MonkeyPatch
+    version: int, share: str, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    names = ["cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"] if version == 1 else ["cpu.max"]
+    lines = share.split() if version == 1 else [share]
+    files = {f"/sys/fs/cgroup/{name}": [line] for name, line in zip(names, lines, strict=False) if line}
     monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: range(8), raising=False)
-    monkeypatch.setattr(machine, "_lines", lambda path: {"/sys/fs/cgroup/cpu.max": share}[path])
+    monkeypatch.setattr(machine, "_lines", lambda path: files.get(path, []))
     assert machine.processors() == expected
 
 

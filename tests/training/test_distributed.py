@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import find_rank
 from bodyseg_data.loading.image_set import BatchOrder, Requests, batch_bounds
 from bodyseg_data.loading.selection import permutation
+from bodyseg_data.machine import torch_threads
+from bodyseg_model.training import distributed, use_threads
 
 
 class Numbers:
@@ -215,3 +218,15 @@ def test_fewer_shards_than_ranks_and_workers(figures_set: Path) -> None:
     alone = [batch["key"] for batch in loader(images, 5, shuffle=True)]
     shared = [[batch["key"] for batch in loader(images, 1, 0, True, rank=rank, world_size=5)] for rank in range(5)]
     assert put_together(shared) == alone
+
+
+def test_torch_computes_in_no_more_threads_than_the_container_has_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+    with torch_threads(4):
+        monkeypatch.setattr(distributed, "processors", lambda: 8)
+        use_threads(None)
+        assert torch.get_num_threads() == 4
+        monkeypatch.setattr(distributed, "processors", lambda: 2)
+        use_threads(3)
+        assert torch.get_num_threads() == 3
+        use_threads(None)
+        assert torch.get_num_threads() == 2
