@@ -7,6 +7,7 @@ import contextlib
 import importlib
 import io
 import os
+import resource
 import signal
 import sys
 import threading
@@ -147,6 +148,10 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
         raise BadConfig(f"no such command; there are {', '.join(commands)}")
     with reported("the current folder was deleted, and perhaps made again: cd to it or another", BadConfig, OSError):
         Path.cwd()  # without one, PyTorch ends the process
+    allowed = resource.getrlimit(resource.RLIMIT_AS)[0]  # -1 or a large number: as much as there is
+    if 0 <= allowed < 1 << 32:
+        note = f"note: ulimit -v allows {allowed / 1e9:.1f} GB: where these do not suffice, libraries abort or hang"
+        _say(f"{program}{name}", note, 0)
     place, summary = commands[name]
     command = load_command(place)
     options = parse(command.Options, words, f"{program}{name}", summary, command.EXAMPLE)

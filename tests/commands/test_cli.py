@@ -5,6 +5,7 @@ import inspect
 import io
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -272,6 +273,16 @@ def test_a_limit_of_threads_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys:
     assert main(["verify", "x"]) == 2
     line = "bodyseg verify: no thread can be started: ulimit -u or the container allows no more\n"
     assert capsys.readouterr().err == line
+
+
+@pytest.mark.parametrize(("allowed", "noted"), [(-1, False), (1_500_000_000, True), (2**63 - 1, False)])
+def test_a_limit_of_memory_is_said_beforehand(
+    allowed: int, noted: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (allowed, allowed))
+    monkeypatch.setattr(verify, "run", lambda _: 0)
+    assert main(["verify", "x"]) == 0
+    assert ("bodyseg verify: note: ulimit -v allows 1.5 GB" in capsys.readouterr().err) == noted
 
 
 def test_texts_are_printed_where_the_locale_has_ascii_alone(monkeypatch: pytest.MonkeyPatch) -> None:
