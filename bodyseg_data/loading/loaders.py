@@ -127,11 +127,8 @@ class Loader:
         self._waited = self._taken = 0.0
 
     def __repr__(self) -> str:
-        order, workers = self.order, self._options.num_workers
-        return (
-            f"Loader({self.images!r}, batch_size={order.batch_size}, shuffle={order.shuffle}, "
-            f"batches={len(self)}, num_workers={workers}, worker_method={self._options.worker_method!r})"
-        )
+        options = self._options
+        return f"Loader({self.order!r}, num_workers={options.num_workers}, worker_method={options.worker_method!r})"
 
     def __len__(self) -> int:
         """Number of batches in a whole pass, the same for every rank."""

@@ -59,13 +59,12 @@ def test_the_public_classes_print_in_one_readable_line(paper_set: Path) -> None:
     images.set_epoch(2)
     later = shown.replace("epoch=0", "epoch=2")
     batches = loader(images, 4, num_workers=2)
-    assert repr(batches) == (
-        f"Loader({later}, batch_size=4, shuffle=False, batches={-(-count // 4)}, num_workers=2, worker_method='thread')"
-    )
-    assert repr(batches.order) == (
+    order = (
         f"BatchOrder({later}, batch_size=4, shuffle=False, drop_last=False, rank=0, world_size=1, "
         f"batches={-(-count // 4)})"
     )
+    assert repr(batches.order) == order
+    assert repr(batches) == f"Loader({order}, num_workers=2, worker_method='thread')"
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -298,7 +298,7 @@ def test_a_mixture_prints_in_one_line(mixture: Mixture) -> None:
         f"Mixture([({known!r}, [[0, 1.0], [4, 1.0]], sample weights), ({people!r}, 3.0)], samples=18, seed=2, epoch=0)"
     )
     assert repr(mixture) == shown
-    assert repr(loader(mixture, 5)).startswith(f"Loader({shown}, batch_size=5, shuffle=True")
+    assert repr(loader(mixture, 5)).startswith(f"Loader(BatchOrder({shown}, batch_size=5, shuffle=True")
 
 
 def test_sets_that_differ_in_what_a_batch_needs_are_refused(
