@@ -189,7 +189,6 @@ def write_onnx(path: Path | str, trained: Trained | OnnxModel) -> int:
         "graph": json.dumps(asdict(model.facts)),
         "card": json.dumps(model.card),
         "weights_sha256": str(model.card.get("weights_sha256", "")),
-        "opset": str(OPSET),
         "input": "range_m: float32 [images, 1, rows, columns], metres along the optical axis, 0 = nothing measured",
         "output": "labels: uint8 [images, rows, columns], 255 = nothing measured; confidence: float32, 0 to 1",
     }
