@@ -224,14 +224,6 @@ def _other_sharding(frame: FrameType | None) -> str | None:
     return None
 
 
-def _has_ended(frame: FrameType) -> bool:
-    """Whether torchdata's StatefulDataLoader, with workers, resumes a pass that had ended: it draws batches, drops them
-    and begins another pass.
-    """
-    above = frame.f_back if frame.f_code.co_name == "_restore_main_state" else None
-    return above is not None and above.f_locals.get("next_iter_state", {}).get("_iterator_finished", False)
-
-
 def batch_bounds(samples: int, start: int, batch_size: int, world_size: int, drop_last: bool) -> list[int]:
     """Positions at which the global batches of an epoch begin, from `start` on, and the end of the last one.
 
@@ -396,8 +388,9 @@ class BatchOrder(Sampler[list[Request]]):
     def __iter__(self) -> Iterator[list[Request]]:
         """Batches of the next pass. Raises BadConfig where they are shared out to ranks twice, or never."""
         caller = sys._getframe(1)
-        if _has_ended(caller):
-            return iter(())
+        above = caller.f_back if caller.f_code.co_name == "_restore_main_state" else None
+        if above is not None and above.f_locals.get("next_iter_state", {}).get("_iterator_finished"):
+            return iter(())  # torchdata's loader, with workers, resumes a pass that had ended: it drops what this gives
         other = _other_sharding(caller)
         if other is not None and self.world_size > 1:
             raise BadConfig(

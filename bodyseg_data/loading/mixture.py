@@ -347,12 +347,8 @@ class Mixture(SampleDataset):
         given = self._shares.before(self._shares.constant_from + 1)
         total = sum(given)
         numbers = [max(1, round(count * each / total)) if each else 0 for each in given]
-        return np.concatenate(
-            [
-                stream.evenly_sampled(n) + offset
-                for stream, n, offset in zip(self._streams, numbers, self._starts, strict=False)
-            ]
-        )
+        parts = zip(self._streams, numbers, self._starts, strict=False)
+        return np.concatenate([stream.evenly_sampled(n) + offset for stream, n, offset in parts])
 
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts."""

@@ -20,8 +20,7 @@ _INSTRUCTIONS: Final = {"amx_tile": "AMX", "avx512f": "AVX-512"}
 _BFLOAT16: Final = frozenset({"amx_bf16", "avx512_bf16"})
 """The flags of processors with instructions for bfloat16; others compute it by way of float32, slower than that."""
 
-_SHARE: Final = ("cpu.max", "cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")
-"""Files of a container's microseconds a period, as by `docker run --cpus 2`: of cgroup 2, or two of cgroup 1."""
+_SHARE: Final = ("cpu.max", "cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")  # microseconds a period: cgroup 2, or 1
 
 _TRIM_THRESHOLD: Final = (-1, 1 << 28)
 _MMAP_THRESHOLD: Final = (-3, 1 << 25)

@@ -333,7 +333,8 @@ def with_kept_index(manifest: Manifest, store: Store, folder: str | Path | None,
     """Return the manifest, read from `store`, its index, if any, kept in the cache as `with_cache`, or in memory."""
     if not isinstance(manifest.shards, IndexedShards):
         return manifest
-    kept, size = with_cache(store, [manifest.shards.table], folder, limit), manifest.shards.table.size
+    table, fields = manifest.shards.table, manifest.shards.fields
+    kept, size = with_cache(store, [table], folder, limit), table.size
     if isinstance(kept, RemoteFolder) and size <= _LARGEST_HELD_INDEX:
         kept = HeldFile(store, size)
-    return replace(manifest, shards=manifest.shards.kept_in(kept))
+    return replace(manifest, shards=IndexedShards(table, fields, store, kept))

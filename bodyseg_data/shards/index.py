@@ -173,10 +173,6 @@ class IndexedShards(Sequence[ShardRecord]):
             return tuple(_IndexedShard(self, number) for number in range(len(self))[index])
         return _IndexedShard(self, range(len(self))[index])
 
-    def kept_in(self, store: Store) -> IndexedShards:
-        """Return these records, with pieces read from `store` from the first `FETCHED_PIECES` on."""
-        return IndexedShards(self.table, self.fields, self._store, store)
-
     def where(self, number: int) -> str:
         """Place of a shard's piece, for messages."""
         return f"{self._store.name}/{location(self.table, number)}"

@@ -110,7 +110,8 @@ class RemoteFolder:
             attempt_start = start
             TALLY.count(Stage.REQUESTS)
             try:
-                with closing(self._chunks(name, start, stop, not ranges)) as chunks:
+                chunks: Any = self._transport.chunks(f"{self._base}/{name}{self._query}", start, stop, not ranges)
+                with closing(chunks):
                     for chunk in chunks:
                         pause(0)
                         sink(chunk)
@@ -143,9 +144,6 @@ class RemoteFolder:
 
     def prepare_reread(self, name: str) -> bool:
         return True  # a network may have altered the bytes
-
-    def _chunks(self, name: str, start: int, stop: int, allow_whole_file: bool) -> Any:
-        return self._transport.chunks(f"{self._base}/{name}{self._query}", start, stop, allow_whole_file)
 
     def _with_retries(self, name: str, attempt: Callable[[str], Result]) -> Result:
         streak = _FailureStreak(self._retry_policy)

@@ -57,10 +57,7 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 
 def use_threads(count: int | None) -> None:
-    """Set the number of threads in which torch computes. Raises BadConfig for less than one.
-
-    None: no more than `processors`, as torch knows nothing of a container's share, in which threads stop each other.
-    """
+    """Set the number of threads in which torch computes; None: `processors` at most. Raises BadConfig below one."""
     if count is not None:
         torch.set_num_threads(check_int("--threads", count, 1))
     elif torch.get_num_threads() > processors():
