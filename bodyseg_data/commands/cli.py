@@ -150,8 +150,7 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
         Path.cwd()  # without one, PyTorch ends the process
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]  # -1 or a large number: as much as there is
     if 0 <= allowed < 1 << 32:
-        note = f"note: ulimit -v allows {allowed / 1e9:.1f} GB: where these do not suffice, libraries abort or hang"
-        _say(f"{program}{name}", note, 0)
+        _say(f"{program}{name}", f"note: ulimit -v allows {allowed / 1e9:.1f} GB; beyond, libraries abort or hang", 0)
     place, summary = commands[name]
     command = load_command(place)
     options = parse(command.Options, words, f"{program}{name}", summary, command.EXAMPLE)

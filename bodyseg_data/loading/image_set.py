@@ -389,7 +389,8 @@ class BatchOrder(Sampler[list[Request]]):
         """Batches of the next pass. Raises BadConfig where they are shared out to ranks twice, or never."""
         caller = sys._getframe(1)
         above = caller.f_back if caller.f_code.co_name == "_restore_main_state" else None
-        if above is not None and above.f_locals.get("next_iter_state", {}).get("_iterator_finished"):
+        state = {} if above is None else above.f_locals.get("next_iter_state", {})
+        if state.get("_iterator_finished") and not state.get("_steps_since_snapshot"):
             return iter(())  # torchdata's loader, with workers, resumes a pass that had ended: it drops what this gives
         other = _other_sharding(caller)
         if other is not None and self.world_size > 1:

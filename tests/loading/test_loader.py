@@ -222,9 +222,10 @@ def test_torch_loaders_go_by_the_same_order(
 def test_a_stateful_dataloader_goes_on(
     small_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
 ) -> None:
-    def fresh() -> Any:
+    def fresh(every: int = 1) -> Any:
         images = RangeImages(small_set, "all", "train")
-        return StatefulDataLoader(images, batch_sampler=images.batches(3), num_workers=workers)
+        order = images.batches(3)
+        return StatefulDataLoader(images, batch_sampler=order, num_workers=workers, snapshot_every_n_steps=every)
 
     first = fresh()
     states = []
@@ -238,11 +239,12 @@ def test_a_stateful_dataloader_goes_on(
             found = found or [bits(batch) for batch in again]
         end = 12 if done >= 6 else 6
         assert found == expected[done:end]
-    ended = fresh()
-    assert len(list(ended)) == 6
-    again = fresh()
-    again.load_state_dict(ended.state_dict())
-    assert [bits(batch) for batch in again] == expected[6:12]
+    for every in (1, 4, 100):
+        ended = fresh(every)
+        assert len(list(ended)) == 6
+        again = fresh(every)
+        again.load_state_dict(ended.state_dict())
+        assert [bits(batch) for batch in again] == expected[6:12]
 
 
 def test_indices_alone_draw_for_the_epoch_that_was_set(small_set: Path) -> None:
