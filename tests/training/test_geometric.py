@@ -44,16 +44,16 @@ def test_range_and_label_of_a_pixel_stay_together_and_none_is_made_up() -> None:
 
 
 def test_sizes_stay_within_what_was_asked_for() -> None:
-    range_m, labels = bodies()
-    seen, _ = GeometricAugmentation(zoom=0.25, stretch=0.1)(range_m, labels, 2, EPOCHS, KEYS)
-    heights = (seen[:, 0] > 0).any(2).sum(1) / 20
-    widths = (seen[:, 0] > 0).any(1).sum(1) / 16
-    assert heights.min() >= 1 / 1.25 - 0.06
-    assert heights.max() <= 1.25 + 0.06
-    assert heights.std() > 0.08
-    ratio = widths / heights
-    assert ratio.min() >= 1 / 1.1 - 0.12
-    assert ratio.max() <= 1.1 + 0.12
+    range_m = torch.zeros(len(KEYS), 1, 240, 160)
+    range_m[:, :, 80:160, 48:112] = 2
+    labels = torch.where(range_m[:, 0] > 0, 0, 255).to(torch.uint8)
+    seen, _ = GeometricAugmentation(zoom=0.25, stretch=0.3)(range_m, labels, 2, EPOCHS, KEYS)
+    heights = (seen[:, 0] > 0).any(2).sum(1) / 80
+    widths = (seen[:, 0] > 0).any(1).sum(1) / 64
+    for sizes, most in ((heights, 1.25), (widths / heights, 1.3)):
+        assert 1 / most - 0.03 <= sizes.min() < 1 / most + 0.05
+        assert most - 0.05 < sizes.max() <= most + 0.03
+        assert 0.3 < (sizes < 1).float().mean() < 0.7
 
 
 def test_a_turn_keeps_lengths() -> None:
@@ -65,6 +65,10 @@ def test_a_turn_keeps_lengths() -> None:
     for image in seen[:10, 0]:
         places = torch.nonzero(image > 0).float()
         assert torch.cdist(places, places).max() == pytest.approx(math.hypot(19, 15), abs=1.6)
+    down = (seen[:, 0] > 2).float() * (seen[:, 0] - 2.3)  # ranges grow downwards: where they do now tells the turn
+    lean = (down * torch.arange(39.0, -40, -2)).sum((1, 2)) / (down * torch.arange(59.0, -60, -2)[:, None]).sum((1, 2))
+    turns = torch.rad2deg(torch.atan(lean))
+    assert -41 < turns.min() < -30 and 30 < turns.max() < 41
 
 
 def test_a_bust_keeps_the_upper_part_of_the_body() -> None:

@@ -105,9 +105,10 @@ def test_scores_at_pixels_are_those_of_the_interpolated_image(step: int, stride:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_both_forms_of_interpolation_have_the_same_bits_and_gradients(dtype: torch.dtype) -> None:
     draw = torch.Generator().manual_seed(8)
-    cells = torch.randn(2, 33, 9, 8, generator=draw).to(dtype)
+    cells = torch.randn(4, 33, 9, 8, generator=draw).to(dtype)
     for layout in (cells.to(memory_format=torch.channels_last)[..., :7], cells[..., :7]):
-        labels = batch(35, 27)[1]
+        empty = torch.full((1, 35, 27), 255, dtype=torch.uint8)
+        labels = torch.cat([empty, batch(35, 27)[1], empty])
         pixels = SelectedPixels.of(labels, 1, 3, 4)
         gradient = torch.randn(len(pixels.truth), 33, generator=draw)
 

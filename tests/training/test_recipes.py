@@ -95,6 +95,23 @@ def test_muons_update_is_as_large_as_adamws_however_large_the_gradient() -> None
         assert (weight * weight.grad).sum() < 0
 
 
+@pytest.mark.parametrize("bf16", [False, True])
+def test_muon_adds_up_momentum_and_looks_ahead_and_weights_decay(bf16: bool) -> None:
+    draw = torch.Generator().manual_seed(3)
+    weight = torch.nn.Parameter(torch.randn(6, 2, 3, 3, generator=draw))
+    muon = Muon([{"params": [weight], "weight_decay": 0.5}], 0.01, bf16)
+    expected, mean = weight.detach().flatten(1).clone(), torch.zeros(6, 18)
+    for _ in range(3):
+        weight.grad = torch.randn(weight.shape, generator=draw)
+        muon.step()
+        gradient = weight.grad.flatten(1)
+        mean = 0.95 * mean + 0.05 * gradient
+        ahead = 0.95 * mean + 0.05 * gradient
+        update = orthogonal(ahead.to(torch.bfloat16 if bf16 else torch.float32)).float()
+        expected = expected * (1 - 0.01 * 0.5) - 0.01 * 0.2 * math.sqrt(18) * update
+        torch.testing.assert_close(weight.detach().flatten(1), expected, atol=2e-4 if bf16 else 1e-6, rtol=0)
+
+
 def test_rates_rise_then_fall() -> None:
     recipe = recipe_for("compact", steps=100, learning_rate=1.0, warmup=0.1)
     rates = [recipe.learning_rate_at(step) for step in range(100)]
