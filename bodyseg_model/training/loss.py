@@ -202,9 +202,9 @@ def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:
     """Weights of the classes, float32 [C]: each class's share of all pixels to the power of -balance, scaled so that
     the mean weight of a pixel is 1.
 
-    counts: int64 [C], pixels of each class. Classes without a pixel weigh as much as the rarest with any.
+    counts: int64 [C], pixels of each class, not all 0. Classes without one weigh as much as the rarest with any.
     """
-    shares = np.maximum(counts, counts[counts > 0].min() if counts.any() else 1).astype(np.float64)
+    shares = np.maximum(counts, counts[counts > 0].min()).astype(np.float64)
     shares /= shares.sum()
     weights = shares**-balance
     return torch.from_numpy((weights / (weights * shares).sum()).astype(np.float32))
