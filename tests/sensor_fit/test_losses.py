@@ -116,3 +116,17 @@ def test_a_gap_between_limbs_is_no_loss() -> None:
     found = losses_of(recording)
     assert found["patch_loss"].estimates["share"].value == 0 and needed(found) == []
     assert found["patch_loss"].verdict == UNKNOWN and "cut the outline" in found["patch_loss"].reason
+
+
+@pytest.mark.parametrize(("thickness_px", "lost"), [(25, 0), (0, 3853)])
+def test_a_hole_is_a_gap_where_its_rim_turns_away_and_a_patch_where_it_is_flat(thickness_px: int, lost: int) -> None:
+    """As between arm and trunk: a ring of a thickness, seen from 2 m, or a flat one."""
+    recording = recorded(frames=1)
+    row, column = np.indices(recording.frames[0].body.shape)
+    across = (np.hypot(row - 240, column - 112) - 60) / 25
+    body = np.abs(across) < 1
+    height_m = thickness_px / recording.camera.focal_px * 2 * np.sqrt(np.maximum(1 - across**2, 0))
+    range_m = np.where(body, 2 - height_m, 0).astype(np.float32)
+    frame = replace(recording.frames[0], stored=(10_000 * range_m).astype(np.uint16), range_m=range_m, body=body)
+    (outline,) = outlines_of(replace(recording, frames=(frame,), pairs=()))
+    assert outline.lost.sum() == lost
