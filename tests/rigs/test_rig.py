@@ -178,6 +178,7 @@ def test_another_rig_is_another_file(tmp_path: Path) -> None:
         ("focal_length_mm = 12.5", "focal_length_mm = -3", "'focal_length_mm' must be positive, found -3"),
         ("[projector]", "[projector]\nfov = 3", r"rig x, \[projector\]: unknown 'fov'"),
         ("[projector]", "[[projector]]", "'projector' must be a table"),
+        (PAPER[PAPER.index("position_m = [-0.75") :], "", r"rig x, \[projector\]: list 'position_m' is missing"),
         ("[0.0, 0.0, 0.0]", "[0.0, 0.0]", "'position_m' must be 3 finite numbers"),
         ("[0.0, 0.0, 2.5]  # assumed: the", "[0.0, 1.0, 0.0]  #", "must not look straight up or down"),
         ('name = "paper"', 'name = "my rig"', "a rig's name must be one plain word"),
@@ -244,6 +245,7 @@ def test_what_manifests_hold_of_a_rig_with_one_projector_is_pinned() -> None:
         ),
         ("rows = 640", "rows = 0", r"rig x, \[second_projector\]: Camera: rows must be from 1 to 8192, found 0"),
         ("[second_projector]", "[second_projector]\nfov = 3", r"rig x, \[second_projector\]: unknown 'fov'"),
+        (SECOND[SECOND.index("position_m") :], "", r"rig x, \[second_projector\]: list 'position_m' is missing"),
         ("[0.5, 0.0, 0.0]", "[0.5, 0.0, -70.0]", "0.5 m behind a body 2.5 m away, .*: found 1 mm, which reach 65.53 m"),
     ],
 )
