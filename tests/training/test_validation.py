@@ -15,6 +15,8 @@ from bodyseg_data.core import BadConfig
 from bodyseg_model.evaluation import evaluate
 from bodyseg_model.networks import load_network
 from bodyseg_model.training import RunOptions, Validation
+from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.validation import Metrics, MetricsWindow
 
 NAN = float("nan")
 
@@ -138,3 +140,33 @@ def test_a_damaged_card_of_the_best_is_refused(small_set: Path, held_out: RangeI
     (tmp_path / "best.json").write_text('{"step": 1}')
     with pytest.raises(BadConfig, match="best.json must hold the step and the val_accuracy of a validation"):
         train(small_set, tmp_path, steps=2, validation=validation(), resume=True)
+
+
+class Twins(ProcessGroup):
+    """Two processes that have the same figures."""
+
+    def add_up(self, values: torch.Tensor) -> torch.Tensor:
+        return values * self.world_size
+
+
+@pytest.mark.parametrize("world_size", [1, 2])
+def test_metrics_are_of_all_steps_and_processes_since_the_last_line(
+    world_size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter([100.0, 101.0, 101.5, 104.0])
+    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
+    window = MetricsWindow(Twins(0, world_size, torch.device("cpu")), 2)
+    with window.watch("data"):
+        pass
+    window.add(torch.tensor(2.0), torch.tensor([[3, 1], [0, 0]]), 4, torch.tensor(10.0))
+    window.add(torch.tensor(1.0), torch.tensor([[0, 0], [1, 0]]), 4, torch.tensor(20.5))
+    assert window.metrics(7, 0.25) == Metrics(
+        step=7,
+        loss=1.5,
+        accuracy=0.375,
+        pixel_accuracy=0.6,
+        learning_rate=0.25,
+        images_per_second=2.0 * world_size,
+        data_wait=0.125,
+        off_mm=15.25,
+    )
