@@ -212,6 +212,8 @@ def test_torch_loaders_go_by_the_same_order(
     assert len(plain) == 6
     passes = [bits(batch) for _ in range(2) for batch in plain]
     assert passes == expected, "the epoch travels with the request, so workers that live on draw anew"
+    ended = order.state_dict()
+    assert (ended["epoch"], ended["position"]) == (2, 0)
     again = images.batches(3)
     again.load_state_dict(order.state_dict(batches=4))
     assert [bits(batch) for batch in DataLoader(images, batch_sampler=again)] == expected[10:]
