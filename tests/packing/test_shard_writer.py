@@ -177,10 +177,10 @@ def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path, capsys: p
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_joined_parts_are_the_same_files_however_they_were_divided(count: int, tmp_path: Path) -> None:
-    whole = write(tmp_path / "whole", range(11), shard_samples=3)
+    whole = write(tmp_path / "whole", range(13), shard_samples=3)
     for part in range(count):
         # In an order of its own each, and in shards of another size.
-        write(tmp_path / "parts", range(part, 11, count)[::-1], part=(part, count), shard_samples=2)
+        write(tmp_path / "parts", range(part, 13, count)[::-1], part=(part, count), shard_samples=2)
     assert cli.main(["join", str(tmp_path / "parts"), "--out", str(tmp_path / "set"), "--shard-samples", "3"]) == 0
     assert cli.main(["verify", str(tmp_path / "set")]) == 0
     assert files(whole) == files(tmp_path / "set")
@@ -195,6 +195,11 @@ def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: p
     parts = write(tmp_path / "parts", [0], part=(0, 3)).parent / "parts"
     write(parts, [1], part=(2, 3))
     assert said(parts) == "parts must hold 3 parts: part-00001-of-00003 is missing"
+    write(parts, [2], part=(1, 3))
+    (parts / "part-00002-of-00003").rename(parts / "part-00002-of-00004")
+    assert said(parts) == "parts must hold 3 parts: part-00002-of-00003 is missing"
+    write(parts, [1], part=(2, 3))
+    assert said(parts) == "parts must hold 3 parts: found 4 parts"
     first = write(tmp_path / "first", [0])
     assert said(first, first) == "a part is joined once: a folder is given twice"
     assert said(first, write(tmp_path / "again", [0])) == "scene-000 is in first and in again"
@@ -218,6 +223,27 @@ def test_a_damaged_shard_of_a_part_names_the_part(tmp_path: Path, capsys: pytest
     shard.write_bytes(shard.read_bytes().replace(b"scene-001", b"scene-002", 1))
     assert cli.main(["join", str(tmp_path / "parts"), "--out", str(tmp_path / "set")]) == 2
     assert f"join: {part}: {shard.name}: scene-001: offset 0: altered: CRC-32 " in capsys.readouterr().err
+
+
+def test_a_join_that_was_stopped_carries_on(tmp_path: Path) -> None:
+    whole, parts = write(tmp_path / "whole", range(13), shard_samples=3), tmp_path / "parts"
+    for part in range(2):
+        write(parts, range(part, 13, 2), part=(part, 2))
+    shard = parts / "part-00000-of-00002" / "train-00000.tar"
+    sound = shard.read_bytes()
+    shard.write_bytes(sound.replace(b"scene-006", b"scene-999", 1))
+    words = ["join", str(parts), "--out", str(tmp_path / "set"), "--shard-samples", "3"]
+    assert cli.main(words) == 2
+    (made,) = (tmp_path / "set").glob("*.tar")
+    before = made.stat()
+    shard.write_bytes(sound)
+    assert cli.main(words) == 0
+    assert files(whole) == files(tmp_path / "set")
+    assert (made.name, made.stat().st_ino, made.stat().st_mtime_ns) == (
+        "train-00000.tar",
+        before.st_ino,
+        before.st_mtime_ns,
+    )
 
 
 def test_a_writer_that_was_stopped_carries_on(tmp_path: Path) -> None:
