@@ -186,7 +186,9 @@ def test_joined_parts_are_the_same_files_however_they_were_divided(count: int, t
     assert files(whole) == files(tmp_path / "set")
 
 
-def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_parts_that_do_not_belong_together_are_refused(
+    tmp_path: Path, small_set: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     def said(*words: Any) -> str:
         assert cli.main(["join", *map(str, words), "--out", str(tmp_path / "set")]) == 2
         assert not list((tmp_path / "set").glob("*"))
@@ -209,6 +211,7 @@ def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: p
         writer.write(**scene(1, fields={"robot": 7}))
     assert said(first, tmp_path / "kind").startswith("kind: field 'robot' is int, elsewhere text: ")
     assert said(first, tmp_path / "nothing") == "no such folder: nothing"
+    assert ": parts are sets that a ShardWriter wrote, found one rendered by 'raster'" in said(small_set)
     with ColumnWriter(other, "visit", "int") as column:
         column.write("scene-001", 3)
     assert said(other) == "other: parts must have no columns, found 'visit': write it for the joined set"
