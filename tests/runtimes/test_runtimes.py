@@ -447,11 +447,16 @@ def test_graphs_that_lie_are_one_line(tmp_path: Path) -> None:
     body = onnx.helper.make_graph(steps, "body", [value("i", whole, []), *kept[0]], kept[1])
     loop = make("Loop", ["", "on", "range_m"], ["scores"], body=body)
     on = [tensor("on", flag, [], [True])]
+    listed = [make("SequenceConstruct", ["range_m"], ["all"]), make("SequenceAt", ["all", "at"], ["scores"])]
     for data, message in (
         (graph_of(huge, inputs=sizes), "it asks for more than 4294967296 bytes"),
         (graph_of(*squared), "it asks for more than 4294967296 bytes"),
         (graph_of(plain), r"scores must be \[1, 50, 34, 33\], found \[1, 1, 200, 136\]"),
         (graph_of(loop, inputs=on), "plain operators, no loops, branches or functions, found some"),
+        (
+            graph_of(*listed, inputs=[tensor("at", whole, [], [0])]),
+            r"a graph must have plain operators, .*, found \['SequenceAt', 'SequenceConstruct'\]",
+        ),
         (graph_of(plain, opset=19), "opset must be at most 18, found 19"),
         (
             graph_of(plain, facts=json.dumps({"classes": 33, "output_stride": 10**9})),
