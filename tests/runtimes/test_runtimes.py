@@ -447,6 +447,8 @@ def test_graphs_that_lie_are_one_line(tmp_path: Path) -> None:
     body = onnx.helper.make_graph(steps, "body", [value("i", whole, []), *kept[0]], kept[1])
     loop = make("Loop", ["", "on", "range_m"], ["scores"], body=body)
     on = [tensor("on", flag, [], [True])]
+    elsewhere = tensor("w", real, [1], [1.0])
+    elsewhere.external_data.add(key="location", value="weights.bin")
     listed = [make("SequenceConstruct", ["range_m"], ["all"]), make("SequenceAt", ["all", "at"], ["scores"])]
     for data, message in (
         (graph_of(huge, inputs=sizes), "it asks for more than 4294967296 bytes"),
@@ -456,6 +458,10 @@ def test_graphs_that_lie_are_one_line(tmp_path: Path) -> None:
         (
             graph_of(*listed, inputs=[tensor("at", whole, [], [0])]),
             r"a graph must have plain operators, .*, found \['SequenceAt', 'SequenceConstruct'\]",
+        ),
+        (
+            graph_of(make("Add", ["range_m", "w"], ["scores"]), inputs=[elsewhere]),
+            "a graph must hold its weights itself, found the name of another file",
         ),
         (graph_of(plain, opset=19), "opset must be at most 18, found 19"),
         (
