@@ -453,6 +453,21 @@ def test_a_sample_stored_in_the_wrong_split_is_a_fault(copy: Path) -> None:
     assert [fault.problem for fault in faults] == ["belongs to train, stored among test"] * len(shard)
 
 
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"planes": {"instances": "uint16"}}, "the set has the planes {'instances': 'uint16'}, found none"),
+        ({"projector": "none"}, "the set's projector range is 'none', the sample says otherwise"),
+    ],
+)
+def test_samples_that_hold_other_images_than_the_set_says_are_faults(
+    figures_set: Path, changes: dict[str, Any], problem: str
+) -> None:
+    manifest = replace(read_manifest(figures_set), **changes)
+    shard = manifest.shards[0]
+    assert [fault.problem for fault in find_faults(figures_set, manifest, shard)] == [problem] * len(shard)
+
+
 def test_the_manifest_describes_every_sample_as_it_describes_itself(figures_set: Path) -> None:
     manifest = read_manifest(figures_set)
     reader = ShardReader(figures_set, manifest)
