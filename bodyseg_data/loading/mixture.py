@@ -120,14 +120,13 @@ class Shares:
         """
         weights = self._weights(epoch)
         left = self.samples * epochs
-        for number in range(len(weights) - 1):
+        for number, weight in enumerate(weights):
             rest = math.fsum(weights[number:])
-            share = round(weights[number] / rest * 2**_BITS) if rest else 0
+            share = round(weight / rest * 2**_BITS) if rest else 0
             sums[number] += left * share
             whole = (sums[number] + _HALF) >> _BITS
             left -= whole - given[number]
             given[number] = whole
-        given[-1] += left
 
 
 class SetStream:

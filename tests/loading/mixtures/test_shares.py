@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from bodyseg_data.core import BadConfig
@@ -38,6 +38,7 @@ def test_a_third_is_made_up_for_in_the_next_epochs() -> None:
     samples=st.integers(1, 1000),
     epoch=st.one_of(st.integers(0, 50), st.integers(0, 10**6)),
 )
+@example(weights=[1.0, 0.0, 0.0], samples=7, epoch=3)  # nothing is left to divide
 def test_shares_of_constant_weights_are_exact_over_all_epochs(weights: list[float], samples: int, epoch: int) -> None:
     shares = Shares(constant(*weights), samples)
     before = shares.before(epoch)
