@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -178,6 +179,16 @@ def test_a_pull_that_is_interrupted_leaves_no_manifest(web: WebServer, small_set
     assert MANIFEST_NAME not in contents(back)
     pulled(web.url("good"), back)
     assert contents(back) == contents(small_set)
+
+
+def test_bytes_that_are_altered_on_their_way_are_fetched_again(web: WebServer, small_set: Path, tmp_path: Path) -> None:
+    web.forget()
+    web.faults.act = lambda reply, before: replace(reply, body=reply.body[:-1] + b"x") if before == 0 else reply
+    sizes = [shard.size for shard in read_manifest(small_set).shards]
+    seen: list[int] = []
+    assert pulled(web.url("faulty"), tmp_path / "back", seen.append) == Outcome(3, 0, sum(sizes))
+    assert contents(tmp_path / "back") == contents(small_set)
+    assert seen[-1] == max(seen) == sum(sizes) and seen.count(0) >= 2, "progress goes back by what was wrong"
 
 
 def test_wrong_bytes_are_fetched_again_and_sent_again(mine: Path, breaking: type[Breaking], tmp_path: Path) -> None:
