@@ -63,6 +63,8 @@ def test_a_network_that_is_given_keeps_its_weights(small_set: Path, tmp_path: Pa
     for name, weight in network.state_dict().items():
         assert torch.equal(weight, before[name]) and torch.equal(after[name], second.network.state_dict()[name])
     assert not torch.equal(after["head.weight"], before["head.weight"])
+    means = [name for name in before if name.endswith("running_mean")]
+    assert means and not any(torch.equal(after[name], before[name]) for name in means), "it was given to evaluate"
 
 
 def test_a_training_that_was_cut_resumes_with_the_same_bits(small_set: Path, tmp_path: Path) -> None:
