@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from benches.model.chosen import recipe_from_json
-from small_training import train
+from small_training import TINY, train
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import build, load_network
@@ -49,6 +49,17 @@ def test_an_averaged_training_saves_the_averages_and_trains_as_without(small_set
     last = load_network(tmp_path / "averaged", "last").network.state_dict()
     assert all(torch.equal(last[name], averaged[name]) for name in last)
     assert checkpoint.stat().st_size > (tmp_path / "plain" / checkpoint.name).stat().st_size
+
+
+def test_a_training_averages_the_weights_of_its_steps(small_set: Path, tmp_path: Path) -> None:
+    for name, ema in (("plain", 0.0), ("averaged", 0.9)):
+        train(small_set, tmp_path / name, steps=1, ema=ema)
+    drawn = build("compact", TINY, seed=0).state_dict()
+    plain, averaged = (load_network(tmp_path / name).network.state_dict() for name in ("plain", "averaged"))
+    for name, value in averaged.items():
+        if value.is_floating_point():
+            torch.testing.assert_close(value, 0.1 * drawn[name] + 0.9 * plain[name], atol=1e-6, rtol=1e-5)
+    assert not torch.equal(plain["head.weight"], drawn["head.weight"])
 
 
 def test_the_decay_belongs_to_the_recipe() -> None:
