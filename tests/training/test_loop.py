@@ -76,6 +76,18 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name.startswith("network")}
 
 
+def test_a_steps_gradient_is_no_larger_than_clip(small_set: Path, tmp_path: Path) -> None:
+    before = build("compact", TINY, 0)
+    changes = {"steps": 1, "warmup": 0.0, "weight_decay": 0.0, "layer_decay": 1.0}
+    for clip in (0.0, 1e-2):
+        recipe = dataclasses.replace(SGD, clip=clip, **changes)  # type: ignore[arg-type]  # of several types
+        train(small_set, tmp_path / str(clip), recipe, network=build("compact", TINY, 0))
+        after = dict(load_network(tmp_path / str(clip)).network.named_parameters())
+        moved = [(after[name] - weight).detach().square().sum() for name, weight in before.named_parameters()]
+        size = float(sum(moved)) ** 0.5 / 1e-2  # over the learning rate
+        assert size == pytest.approx(clip, rel=0.01) if clip else size > 0.1
+
+
 def test_bodies_are_learned(small_set: Path, tmp_path: Path) -> None:
     changes = {
         "steps": 50,
