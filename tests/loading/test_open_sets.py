@@ -74,6 +74,18 @@ def test_batches_hold_the_planes_that_are_asked_for(cells: Path, workers: int, m
                 assert np.array_equal(batch["planes"][name][row].numpy(), stored[name])
 
 
+@pytest.mark.parametrize("options", [{"unlabelled": True}, {"planes": NAMES[:1]}, {"planes": NAMES[::-1]}])
+def test_a_state_is_of_batches_with_the_same_planes_and_labels(cells: Path, options: dict[str, Any]) -> None:
+    (name,) = options
+    batches, state = (
+        loader(RangeImages(cells, "none", **options), 4),
+        loader(RangeImages(cells, "none"), 4).state_dict(),
+    )
+    batches.load_state_dict(batches.state_dict())
+    with pytest.raises(BadConfig, match=f"^the state belongs to another run: {name} None, here "):
+        batches.load_state_dict(state)
+
+
 def test_torchs_own_loader_and_webdataset_give_planes(cells: Path) -> None:
     images = RangeImages(cells, "none", planes="instances", split="train")
     (batch,) = DataLoader(images, batch_size=8, num_workers=1)
