@@ -229,6 +229,7 @@ LARGEST_DOORS = {
     "bodyseg_data.shards": 59,  # a format, its columns and stores, which packing writes, loading reads, transfer copies
     "bodyseg_model.networks": 33,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 33,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
+    "bodyseg_model.recordings": 22,
     "bodyseg_model.segmentation": 23,
     "bodyseg_data.machine": 22,
     "bodyseg_data.samples": 32,

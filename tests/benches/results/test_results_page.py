@@ -157,7 +157,7 @@ def test_the_card_states_the_scores_on_real_people_with_what_they_are_worth() ->
         people, real = (json.loads((RESULTS / f"{name}{ending}.json").read_text()) for name in ("people", "real"))
         for scores in (people["scores"]["all"], real["scores"]):
             assert f"{100 * scores['accuracy']:.1f} %" in text and f"{100 * scores['calibration_error']:.1f} %" in text
-    assert "placed by the annotations of the same twenty scans" in text and "doubtful" in text
+    assert "annotations of these twenty scans placed the open body's landmarks" in text and "doubtful" in text
 
 
 def test_help_texts_state_what_was_measured() -> None:
