@@ -254,7 +254,8 @@ def _toml(value: Any) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool | int | str):
-        return json.dumps(value, ensure_ascii=False)  # JSON's pairs of escapes are no TOML
+        text = json.dumps(value, ensure_ascii=False)  # JSON's pairs of escapes are no TOML, nor is a plain DEL
+        return re.sub("[^ -~]", lambda letter: f"\\U{ord(letter[0]):08X}", text)
     if isinstance(value, float) and math.isfinite(value):
         return repr(value)
     raise BadConfig(f"a sensor file holds text, numbers, flags and lists of them, found {value!r}")
