@@ -143,9 +143,9 @@ def plain_value(value: Any) -> Any:
     """A field's value without NumPy or torch: their numbers as Python's, lists and arrays as tuples of floats."""
     if getattr(value, "ndim", None) == 0:
         return value.item()
-    if isinstance(value, list | tuple | np.ndarray) or hasattr(value, "detach"):
+    if isinstance(value, list | tuple) or hasattr(value, "tolist"):
         try:
-            flat = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
+            flat = np.asarray(value.tolist() if hasattr(value, "tolist") else value)
         except (TypeError, ValueError):
             return value
         return tuple(flat.astype(np.float64).tolist()) if flat.ndim == 1 and flat.dtype.kind in "biuf" else value

@@ -6,6 +6,7 @@ import hashlib
 import json
 import pickle
 import shutil
+from array import array
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -100,6 +101,8 @@ def test_images_are_the_same_bits_with_columns(copy: Path, small_set: Path) -> N
         ("numbers", np.eye(2)[0], (1.0, 0.0)),
         ("numbers", [np.float32(0.5), np.int64(2)], (0.5, 2.0)),
         ("numbers", torch.tensor([0.5]), (0.5,)),
+        ("numbers", torch.tensor([0.5], dtype=torch.bfloat16), (0.5,)),
+        ("numbers", array("d", [0.5]), (0.5,)),
         ("uint8", torch.ones(160, 82, dtype=torch.int64), np.ones((160, 82), np.uint8)),
     ],
 )
