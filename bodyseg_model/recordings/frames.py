@@ -124,7 +124,8 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame,
     """
     with reported(f"cannot read {path}", BadConfig, OSError):
         files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
-    files = _of_depth([file for file in files if file.suffix.lower() in (".png", *SUFFIXES)])
+    pngs = _of_depth([file for file in files if file.suffix.lower() == ".png"])
+    files = _of_depth([*pngs, *(file for file in files if file.suffix.lower() in SUFFIXES)])
     if pngs := [file for file in files if file.suffix.lower() == ".png"]:
         return _pngs([png_file(file) for file in pngs], path, topic, step_m)
     if (found := find_format(path)) is not None:

@@ -226,6 +226,15 @@ def test_infrared_beside_depth_of_another_format_is_no_range(tmp_path: Path) -> 
     assert [frame.name for frame in find_frames([tmp_path])] == ["depth_0", "depth_1", "depth_2"]
 
 
+def test_depth_beside_colour_is_read_alone_whatever_arrays_are_beside_it(tmp_path: Path) -> None:
+    for number in range(3):
+        for kind in ("color", "depth"):
+            (tmp_path / f"{kind}_{number}.png").write_bytes(png())
+        for kind in ("pose", "mask", "normals", "camera"):
+            np.save(tmp_path / f"{kind}_{number}.npy", STACK[number])
+    assert [frame.name for frame in find_frames([tmp_path])] == ["depth_0", "depth_1", "depth_2"]
+
+
 def test_one_name_with_depth_among_many_chooses_nothing(tmp_path: Path) -> None:
     for name in ("0", "1", "2", "3", "depth"):
         (tmp_path / f"{name}.png").write_bytes(png())
