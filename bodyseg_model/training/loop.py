@@ -103,8 +103,8 @@ def train(
     if any(each.split is None and each.manifest.samples("test") for each in images.sets):
         warnings.warn("images to train on include the test split: open them with split='train'", stacklevel=2)
     if validation is not None and (both := _bodies(images.sets) & _bodies(validation.images)):
-        shown = f"{len(both)} bodies that are trained on, like {' '.join(min(both))!r}"
-        warnings.warn(f"images to validate on show {shown}: their scores are too high", stacklevel=2)
+        shown = f"{len(both)} bodies named as those trained on, like {' '.join(min(both))!r}"
+        warnings.warn(f"images to validate on show {shown}: if they are the same, scores are too high", stacklevel=2)
     classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
     network = build(network, classes, seed) if isinstance(network, str) else copy.deepcopy(network)
     name = name_of(network)
