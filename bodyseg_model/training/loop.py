@@ -177,8 +177,8 @@ class Training:
         if recipe.mirror and not images.label_map.has_mirror_image:
             _ = images.label_map.mirrored  # raises, and says for which class
         if recipe.mirror and (alike := images.label_map.unpaired):
-            no_pair = "are no mirror images of each other, but half of the images are mirrored"
-            warnings.warn(f"classes {' and '.join(alike)} {no_pair}: say mirror in the set's classes", stacklevel=2)
+            no_pair = "are no pair, but half of images are mirrored: say mirror in the set's classes, or --no-mirror"
+            warnings.warn(f"classes {' and '.join(alike)} {no_pair}", stacklevel=2)
         if network.on_template:
             check_template(images)
         if recipe.only_places:
