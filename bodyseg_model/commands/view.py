@@ -18,6 +18,7 @@ from bodyseg_data.shards import MANIFEST_NAME
 from bodyseg_model.networks import Trained, find_device, load_network
 from bodyseg_model.recordings import CENTRE_HELP, FOCAL_HELP, UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
+from bodyseg_model.training import use_threads
 from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, SetPage, SetView, Shown
 
 EXAMPLE = "bodyseg view shards"
@@ -66,6 +67,7 @@ def run(options: Options) -> int:
     check_options(options, kind)
     if options.save is not None and not options.save.is_dir():
         raise BadConfig(f"--save must be a folder that is there, found {options.save}")
+    use_threads(None)
     trained = load_network(options.run)
     trained.network.to(find_device(options.device))
     view: SetView | RecordingView

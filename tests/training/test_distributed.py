@@ -17,6 +17,7 @@ from bodyseg_data.loading import find_rank
 from bodyseg_data.loading.image_set import BatchOrder, Requests, batch_bounds
 from bodyseg_data.loading.selection import permutation
 from bodyseg_data.machine import torch_threads
+from bodyseg_model.commands import main
 from bodyseg_model.training import distributed, use_threads
 
 
@@ -229,4 +230,11 @@ def test_torch_computes_in_no_more_threads_than_the_container_has_processors(mon
         use_threads(3)
         assert torch.get_num_threads() == 3
         use_threads(None)
+        assert torch.get_num_threads() == 2
+
+
+def test_view_computes_in_no_more_threads_either(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(distributed, "processors", lambda: 2)
+    with torch_threads(4):
+        assert main(["view", str(tmp_path), "--run", str(tmp_path / "none")]) == 2
         assert torch.get_num_threads() == 2
