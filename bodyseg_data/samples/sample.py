@@ -141,7 +141,7 @@ def check_field_name(name: Any) -> str:
 
 def plain_value(value: Any) -> Any:
     """A field's value without NumPy or torch: their numbers as Python's, lists and arrays as tuples of floats."""
-    if getattr(value, "ndim", None) == 0:
+    if getattr(value, "ndim", None) == 0 and not np.ma.is_masked(value):
         return value.item()
     if isinstance(value, list | tuple) or hasattr(value, "tolist"):
         try:

@@ -131,6 +131,8 @@ def test_a_column_may_be_written_in_any_order_once_and_whole(copy: Path) -> None
         ("int", [1] * 23, f"must have every sample of the set: 1 of 24 are missing, {images.keys[23]} the first"),
         ("int", [1] * 25, f"{images.keys[0]} was written before"),
         ("int", ["a"], "field 'mine' must be of the kind int, found 'a'"),
+        ("float", [np.ma.masked], "field 'mine' must be text, a whole number, .*, found masked"),
+        ("numbers", [np.ma.masked_equal([0.0, 1.0], 0)], "field .mine. must be text, .*, found masked_array"),
         ("uint8", [*[plane] * 8, plane + 0.5], r"plane 'mine' must hold whole numbers \(160, 82\), found float64"),
         ("uint8", [plane[:-1]], "found uint8"),
         ("uint8", [plane - np.int16(1)], "plane 'mine' must be uint8, found -1 to -1"),
