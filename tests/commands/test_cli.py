@@ -441,6 +441,14 @@ def test_inspect_draws_a_contact_sheet(paper_set: Path, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
 
 
+def test_a_sheet_of_two_artifacts_has_their_panel_beside_the_five_variants(small_set: Path, tmp_path: Path) -> None:
+    five, six = tmp_path / "five.png", tmp_path / "six.png"
+    for variant, out in (("md", five), ("noise+md", six)):
+        assert main(["inspect", str(small_set), "--variant", variant, "--rows", "1", "--out", str(out)]) == 0
+    with Image.open(five) as plain, Image.open(six) as wider:
+        assert wider.width > plain.width + 100
+
+
 def test_a_picture_that_cannot_be_written_is_one_line(
     small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
