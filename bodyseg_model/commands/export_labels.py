@@ -154,7 +154,7 @@ def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Im
             labels, instances = images.label_map.table[sample.labels], None
             if plane is not None:
                 instances = sample.planes[plane].astype(np.uint16)
-            elif images.manifest.classes == PART_CLASSES:  # one person a view
+            elif images.label_map.of_bodies:  # one person a view
                 instances = (labels != BACKGROUND).astype(np.uint16)
             ranges = images.augmentation_of(sample)(sample, images.epoch).range
             of_range = ranges, images.manifest.rig_of(sample).range_step_m, split_key(sample.key)[0]

@@ -30,6 +30,7 @@ from bodyseg_data.packing import Packing, Sampler
 from bodyseg_data.packing.writing import STATE_NAME
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.samples import View
+from bodyseg_model.commands import cli
 
 Pack = Callable[..., Path]
 POINTS = load_template().points
@@ -275,6 +276,17 @@ def test_commands_know_the_column(mapped: Path, capsys: pytest.CaptureFixture[st
     found = json.loads(capsys.readouterr().out)
     assert found["columns"] == ["template"] and found["planes"] == {"template": "uint16"}
     assert len(found["class_shares"]) == 15 and sum(found["class_shares"].values()) == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize("labels", ["limbs14", "template33", "joints24"])
+def test_exported_parts_are_one_persons_also_by_labels_of_the_template(
+    mapped: Path, tmp_path: Path, labels: str
+) -> None:
+    words = ["export-labels", "--in", str(mapped), "--format", "panoptic", "--labels", labels]
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "panoptic.json").read_text())
+    assert {segment["instance"] for image in told["annotations"] for segment in image["segments_info"]} == {1}
+    assert all(category["isthing"] for category in told["categories"])
 
 
 def written(path: Path, template: str, classes: str | None = None, regions: str | None = None) -> Path:
