@@ -28,7 +28,7 @@ from bodyseg_data.files import held_part, part_beside, read_json, write_json
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.renders import read_array
-from bodyseg_data.samples import ReadSplit, split_key
+from bodyseg_data.samples import Split, split_key
 from bodyseg_data.shards import column_names, open_store
 from bodyseg_model.recordings import find_frames
 from bodyseg_model.segmentation import SUMMARY, UNFINISHED, ImageKind
@@ -63,7 +63,7 @@ class Options:
     variant: VariantName = option("with a set: artifacts of the ranges; labels are those without artifacts", "none")
     sensor: str = option("sensor model with the artifacts: the name of one that ships, or a TOML file", PAPER_SENSOR)
     seed: int = option("seed of the artifacts", 0)
-    split: ReadSplit | None = option("with a set: split to export (default: train and test)", None)
+    split: Split | None = option("with a set: split to export (default: train and test)", None)
     where: tuple[str, ...] = option(WHERE_HELP, ())
     labels: str | None = option("with a set: classes to export, a label map by name or file (default: the set's)", None)
     instances: str | None = option("with a set: its plane of instances (default: instances, if it has one)", None)
@@ -94,6 +94,10 @@ class LabelImage(NamedTuple):
 def run(options: Options) -> int:
     """Write the export: its folder appears when it is whole, in place of one of an earlier export."""
     check_int("--fps", options.fps, 1)
+    if options.uncompressed and options.format != "coco":
+        raise BadConfig(f"--uncompressed is for --format coco, found {options.format}")
+    if options.topic is not None and not options.frames:
+        raise BadConfig("--topic is of --frames, which are missing")
     facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
     if Path.cwd().is_relative_to(options.out.resolve()):
         raise BadConfig(f"--out must not hold the folder in which the command runs, found {options.out}")
@@ -166,8 +170,9 @@ def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Im
 
 def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:
     """Classes and frames of `bodyseg segment`: numbers are places in its summary, frames of one input a sequence."""
-    if options.variant != "none" or options.where or options.split or options.labels or options.instances:
-        raise BadConfig(f"--variant, --split, --where, --labels and --instances are of sets, not of {options.folder}")
+    for name in ("variant", "sensor", "seed", "split", "where", "labels", "instances"):
+        if getattr(options, name) != getattr(Options, name):
+            raise BadConfig(f"--{name} is for sets, not for {options.folder}, which `bodyseg segment` wrote")
     folder = Path(options.folder)
     try:
         summary = read_json(folder / SUMMARY)

@@ -305,7 +305,11 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     frames, folder = labelled
     out, words = tmp_path / "out", ("--in", folder, "--format", "lerobot", "--out", tmp_path / "out")
     assert "needs ranges: give --frames" in refused(capsys, *words)
-    assert "--variant, --split, --where, --labels and --inst" in refused(capsys, *words, "--variant", "all")
+    for flag, value in (("--variant", "all"), ("--sensor", "kinect_v1"), ("--seed", "1"), ("--split", "test")):
+        assert f"{flag} is for sets, not for {folder}" in refused(capsys, *words, flag, value)
+    assert "--topic is of --frames, which are missing" in refused(capsys, *words, "--topic", "depth")
+    assert "--uncompressed is for --format coco, found lerobot" in refused(capsys, *words, "--uncompressed")
+    assert 'Invalid value "val" for --split' in refused(capsys, *words, "--split", "val")  # of no share that it takes
     shutil.copytree(frames, tmp_path / "others")
     assert "those labelled, where they lay: 1 is not" in refused(capsys, *words, "--frames", tmp_path / "others")
     assert "--fps must be a whole number of at least 1" in refused(capsys, *words, "--fps", "0")
