@@ -112,8 +112,9 @@ class FrameLabeller:
     people; by default the roll of the frames' camera. Frames are turned upright to be labelled, and labels back.
     labels: coarser classes to give, of which the network's are parts: a label map, its name or file (`load_label_map`).
 
-    Raises BadConfig for classes that the network's cannot be joined to, for another turn, for a confidence outside 0 to
-    1 as soon as a camera is known, and as `on_backend` and `to_device`; MissingLibrary.
+    Raises BadConfig for classes that the network's cannot be joined to, for another turn, for `finder` or `keep_things`
+    with another background than "people", for a confidence outside 0 to 1 as soon as a camera is known, and as
+    `on_backend` and `to_device`; MissingLibrary.
     """
 
     def __init__(
@@ -150,6 +151,8 @@ class FrameLabeller:
         if self.background.mode == "people":
             self._finder = put_on_backend(finder or shipped_finder(), backend, precision)
             to_device(self._finder.network, device)
+        elif finder is not None or keep_things:
+            raise BadConfig(f"finder and keep_things go with the background 'people', found {self.background.mode!r}")
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
         self._turned, self.tells_turn = turned, turned == "auto"
         self._turns = lru_cache(maxsize=_KEPT)(lambda camera: _Turns())  # of its frames in calls and the stream

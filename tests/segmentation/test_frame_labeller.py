@@ -352,6 +352,10 @@ def test_what_a_labeller_refuses(tmp_path: Path) -> None:
     trained = Trained(Places(0, 5), {"rig": SMALL.to_json()})
     with pytest.raises(BadConfig, match="^a confidence must be 0 to 1, found 70$"):
         FrameLabeller(trained, least_confidence=70).recording(folder, focal_px=100.0)
+    in_vain: list[dict[str, Any]] = [{"keep_things": True}, {"finder": load_network()}]
+    for given in in_vain:
+        with pytest.raises(BadConfig, match="^finder and keep_things go with the background 'people', found 'keep'$"):
+            FrameLabeller(None, Background("keep"), **given)
     with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'caffe'"):
         FrameLabeller(trained, backend="caffe")
     with pytest.raises(BadConfig, match="--skip-unreadable"):
