@@ -98,7 +98,7 @@ class SetView:
     """Draws samples of a set. trained: the network to ask, or None.
 
     path, split, only, where, val_share: as for `RangeImages`, and raises as it does. seed: of the draws. labels: the
-    classes that are shown, unions of the network's; None: the network's, or the set's own. Raises BadConfig for others.
+    classes that are shown, unions of a network's; None: the network's, or the set's own. Raises BadConfig for others.
     """
 
     def __init__(
@@ -119,9 +119,9 @@ class SetView:
         self.label_map = own if trained is None else load_label_map(trained.label_map, self.images.manifest.classes)
         self._joined: NDArray[np.uint8] | None = None
         if labels is not None:
-            answered = self.label_map
-            self.label_map = load_label_map(labels, self.images.manifest.classes)
-            self._joined = answered.joined_to(self.label_map)
+            shown = load_label_map(labels, self.images.manifest.classes)
+            answered = shown if trained is None else self.label_map  # only a network's answers are joined
+            self.label_map, self._joined = shown, answered.joined_to(shown)
         if self.label_map.template is not None or self.label_map.has_rest:  # of what samples do not hold as a class
             self.images = opened(labels=self.label_map)
         self.rig = self.images.manifest.rig

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -171,6 +172,16 @@ def test_other_classes_can_be_shown(small_set: Path) -> None:
     assert view.chosen("train", (), ()).label_map.names == limbs.names
     with pytest.raises(BadConfig, match="which splits the class"):
         SetView(small_set, Trained(Places(0, 5), {"rig": SMALL.to_json(), "labels": limbs.to_json()}), labels="parts33")
+
+
+def test_a_set_shows_regions_of_the_template_without_a_network(
+    pack_figures: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = pack_figures(tmp_path / "mapped", template=True)
+    view = SetView(folder, labels="joints24").chosen("train", (), ())
+    images, wanted = view.images_of(Shown(0, "none")), RangeImages(folder, "none", "train", labels="joints24")
+    np.testing.assert_array_equal(images.layers.labels, wanted.image(0).labels)
+    assert len(view.draw(Shown(0, "none")).legend) == 24
 
 
 def test_surfaces_without_a_class_have_that_of_the_rest(tmp_path: Path) -> None:
