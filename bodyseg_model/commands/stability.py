@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -106,8 +107,8 @@ def _images(
     options: Options, runs: list[Run], groups: list[Group], sweeps: dict[str, Sweep], reference: Group | None
 ) -> dict[str, Any]:
     """Measure the sweeps over images."""
-    images = RangeImages(options.data, "none", "test", options.seed, where=options.where)
-    hard = None if options.hard is None else RangeImages(options.hard, "none", "test", options.seed)
+    opened = partial(RangeImages, variant="none", split="test", seed=options.seed, where=options.where)
+    images, hard = opened(options.data), None if options.hard is None else opened(options.hard)
     for each in filter(None, (images, hard)):
         if each.manifest.classes != PART_CLASSES:
             raise BadConfig(

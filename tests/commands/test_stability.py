@@ -187,6 +187,14 @@ def test_without_a_reference_there_is_no_mce(
     assert "no --reference, so no mCE" in said and "fewer than 3 seeds, so no spread to speak of: all" in said
 
 
+def test_conditions_choose_among_hard_poses_too(runs: Path, figures_set: Path, tmp_path: Path) -> None:
+    where = ("distance_cm<=215",)
+    command.run(asked(figures_set, runs, tmp_path / "out", reference=(), sweeps=("hard",), images=1, where=where))
+    figures = json.loads((tmp_path / "out" / "stability.json").read_text())
+    for name in ("data", "hard"):
+        assert figures[name]["samples_of_split"] == len(RangeImages(figures_set, "none", "test", where=where)) < 8
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
