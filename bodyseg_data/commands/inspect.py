@@ -85,7 +85,7 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
         first, end = number * len(images) // count, (number + 1) * len(images) // count
         draw = Draws(0, 0, f"{number} of {count}").generator("contact sheet")
         sample = images.clean(int(draw.integers(first, end)))
-        shown = dict.fromkeys((*VARIANTS, images.variant))
+        shown = dict.fromkeys((*VARIANTS, images.augmentation.variant))
         makers = [replace(images.augmentation_of(sample), variant=name) for name in shown]
         able = [each for each in makers if sample.projector_range is not None or not each.needs_projector]
         lines.append(Row(sample, images.step_m, {each.variant: each(sample, images.epoch) for each in able}))
