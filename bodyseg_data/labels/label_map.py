@@ -184,12 +184,9 @@ class LabelMap:
         `FR`: names of no word for a side, which pair no classes. None without any.
         """
         own = [name for label, name in enumerate(self.names) if self.mirrored[label] == label]
-        for name in own:
-            for found in re.finditer("L(?![a-z])", name):
-                other = f"{name[: found.start()]}R{name[found.end() :]}"
-                if other in own:
-                    return name, other
-        return None
+        letters = ((name, found) for name in own for found in re.finditer("L(?![a-z])", name))
+        pairs = ((name, f"{name[: found.start()]}R{name[found.end() :]}") for name, found in letters)
+        return next((pair for pair in pairs if pair[1] in own), None)
 
     @cached_property
     def _lopsided(self) -> str | None:

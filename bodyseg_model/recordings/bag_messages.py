@@ -116,9 +116,8 @@ def bag_recording(
     (found,) = chosen[:1]
     first = _first_message(bag, found)
     floating = first is not None and encoding(first, found.kind) == _METRES
-    no_camera = ""
     try:
-        camera = camera_beside(bag, found, str(path))
+        camera, no_camera = camera_beside(bag, found, str(path)), ""
     except BadConfig as error:
         camera, no_camera = None, str(error)
     return stored_recording(

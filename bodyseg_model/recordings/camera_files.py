@@ -32,9 +32,8 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
     name without any of fx, fy, cx and cy is not taken for a camera. Raises BadConfig, naming the file, for one that is
     damaged, incomplete or out of range, and for one of a recording that cannot be used.
     """
-    for frame in frames:
-        if frame.no_camera:
-            raise BadConfig(frame.no_camera)
+    if why := next((frame.no_camera for frame in frames if frame.no_camera), ""):
+        raise BadConfig(why)
     shared = cache(_shared)  # files are read once
 
     @cache

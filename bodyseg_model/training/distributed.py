@@ -58,7 +58,5 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 def use_threads(count: int | None) -> None:
     """Set the number of threads in which torch computes; None: `processors` at most. Raises BadConfig below one."""
-    if count is not None:
-        torch.set_num_threads(check_int("--threads", count, 1))
-    elif torch.get_num_threads() > processors():
-        torch.set_num_threads(processors())
+    most = min(torch.get_num_threads(), processors())
+    torch.set_num_threads(most if count is None else check_int("--threads", count, 1))
