@@ -214,8 +214,8 @@ def feed(target: str, seed: int, numbers: range, folder: Path) -> dict[str, Any]
 
 
 def _warm_up(target: str, seed: int, folder: Path) -> None:
-    """Import and compile what reading needs, which takes time and memory once."""
-    for number in range(8):
+    """Import and compile what reading needs, which takes time and memory once; few inputs need some of the loops."""
+    for number in range(64):
         with contextlib.suppress(Exception):
             TARGETS[target].read(one_input(target, seed + 1, number), folder)
 
