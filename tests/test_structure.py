@@ -14,6 +14,8 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from bodyseg_model.commands.cli import COMMANDS
+
 ROOT = Path(__file__).parents[1]
 
 PACKAGES = ("bodyseg_data", "bodyseg_model", "benches")
@@ -151,16 +153,26 @@ def room_of(module: str) -> str:
 
 
 def from_imports(text: str, known: set[str]) -> Iterable[tuple[str, str | None]]:
-    """(module, name) of every name that a text imports from the project; the name is None for a module as a whole."""
+    """(module, name) of every name that a text imports from the project; the name is None for a module as a whole.
+
+    Of a room that is imported, as by commands, names are those that are looked up in it: `networks.load_network`.
+    """
+    rooms: dict[str, str] = {}
     for node in nodes_of(text):
         if isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
-                yield (whole, None) if whole in known else (str(node.module), alias.name)
+                if node.module in PACKAGES[:2] and whole in known:
+                    rooms[alias.name] = whole
+                else:
+                    yield (whole, None) if whole in known else (str(node.module), alias.name)
         elif isinstance(node, ast.Import):
             yield from ((alias.name, None) for alias in node.names if alias.name in known)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value in known:
             yield node.value, None
+    for node in nodes_of(text):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in rooms:
+            yield rooms[node.value.id], node.attr
 
 
 def past_doors(sources: dict[str, str], doors: Mapping[str, Iterable[str]]) -> list[str]:
@@ -206,12 +218,14 @@ def test_a_way_past_a_door_is_seen() -> None:
         "bodyseg_data.core.files": "",
         "bodyseg_data.shards.tar": "from bodyseg_data.core import write\nfrom bodyseg_data.core.files import write",
         "bodyseg_model.training.loop": "from bodyseg_data.core import hidden\nhome = 'bodyseg_data.core.files'",
+        "bodyseg_model.commands.train": "from bodyseg_data import core\ncore.write(core.hidden)",
         "benches.loader": "from bodyseg_data.core.files import hidden\nfrom bodyseg_data.core.files import write",
     }
     assert past_doors(sources, {"bodyseg_data.core": ["write"]}) == [
         "bodyseg_data.shards.tar imports bodyseg_data.core.files: write",
         "bodyseg_model.training.loop imports bodyseg_data.core: hidden",
         "bodyseg_model.training.loop imports bodyseg_data.core.files",
+        "bodyseg_model.commands.train imports bodyseg_data.core: hidden",
         "benches.loader imports bodyseg_data.core.files: write",
     ]
 
@@ -224,16 +238,14 @@ def test_no_file_hides_a_name_of_its_door() -> None:
 
 
 LARGEST_DOORS = {
-    "bodyseg_data.core": 24,
+    "bodyseg_data.core": 25,
     "bodyseg_data.artifacts": 33,  # what a user's own artifact needs, and by what the fit of a sensor measures
     "bodyseg_data.shards": 59,  # a format, its columns and stores, which packing writes, loading reads, transfer copies
     "bodyseg_model.networks": 33,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 33,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
     "bodyseg_model.recordings": 22,
     "bodyseg_model.segmentation": 23,
-    "bodyseg_data.machine": 22,
-    "bodyseg_data.samples": 32,
-    "bodyseg_data.loading": 22,  # loaders, sets, and the transforms that ship
+    "bodyseg_data.samples": 33,
     "bodyseg_data.packing": 22,
 }
 """Rooms that offer more names than 21: how many at most."""
@@ -360,25 +372,29 @@ def loaded_too_much(statements: Mapping[str, Iterable[str]]) -> dict[str, set[st
     }
 
 
-def test_imports_and_commands_load_no_more_than_they_need() -> None:
+def test_imports_load_no_more_than_they_need() -> None:
     """In one process, the statements that need least first: PyTorch alone takes two seconds to load."""
     light = {"torch", "numpy", *HEAVY}
     parser = {"cyclopts", "rich"}
     statements = {
         "import bodyseg_data": light | parser,
-        "from bodyseg_data.commands.cli import main; main(['--version'])": light | parser,
-        "from bodyseg_data.commands.cli import main; main(['--help'])": light | parser,
+        "from bodyseg_model.commands.cli import main; main(['--version'])": light | parser,
+        "main(['--help'])": light | parser,
         "from bodyseg_data import RangeImages, loader, load_rig, Augmentation": {*HEAVY} | parser,
-        "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify": {*HEAVY} | parser,
-        "import bodyseg_model.commands.train": {*HEAVY} | parser,
+        "from bodyseg_model import FrameLabeller, Segmenter, evaluate, load_network, train": {*HEAVY} | parser,
         "import bodyseg_data.bodies.sources; bodyseg_data.bodies.open_source('open').bodies()": HEAVY,
         "import bodyseg_data.packing.packer": HEAVY,
-        "import bodyseg_model.commands.segment, bodyseg_model.commands.evaluate": HEAVY,
         "import bodyseg_data.packing.cluster, bodyseg_data.packing.jobs": HEAVY,
-        "import bodyseg_data.commands.shard": HEAVY,
         "import scipy": {"scipy"},
     }
     assert loaded_too_much(statements) == {"import scipy": {"scipy"}}
+
+
+def test_help_and_refused_options_come_without_pytorch() -> None:
+    """Which is most of the time that a command takes to begin."""
+    statements = {"from bodyseg_model.commands.cli import main; main(['train', '--lr', 'high'])": {"torch", *HEAVY}}
+    statements |= {f"main({[*name.split(), '--help']})": {"torch", *HEAVY} for name in COMMANDS}
+    assert not loaded_too_much(statements)
 
 
 def test_a_command_imports_no_other() -> None:

@@ -1,7 +1,7 @@
 """The formulas of `phase_shift`, written once: the range that a pixel of a sensor with shifted fringes measures, and
 cloth and motion of a body.
 
-NumPy applies `decode` to arrays, and `phase_loops` compiles it for one pixel. So it takes and makes float32 alone, and
+NumPy applies `decode` to arrays, and `sensor_loops` compiles it for one pixel. So it takes and makes float32 alone, and
 every constant in it is one.
 """
 

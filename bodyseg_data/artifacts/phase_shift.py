@@ -26,7 +26,7 @@ from bodyseg_data.labels import PART_CLASSES, PART_COUNT
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 
-_LOOPS: Final = "bodyseg_data.artifacts.phase_loops"
+_LOOPS: Final = "bodyseg_data.artifacts.sensor_loops"
 OfRig = tuple[Optics, NDArray[np.float32], NDArray[np.float32]]
 
 

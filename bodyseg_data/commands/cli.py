@@ -17,7 +17,7 @@ from typing import Any, Final, Protocol
 
 from bodyseg_data.commands.options import parse, version_line
 from bodyseg_data.core import BadConfig, BodysegError, reported
-from bodyseg_data.machine import signals_held, wait_briefly
+from bodyseg_data.machine import wait_briefly
 
 Commands = Mapping[str, tuple[str, str]]
 
@@ -160,9 +160,7 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
 def load_command(place: str) -> Command:
     """Import the command at a place of `COMMANDS`."""
     module, _, name = place.partition(":")
-    # Raised while PyTorch is imported, an interrupt can end in C++, which aborts the process.
-    with signals_held():
-        found = importlib.import_module(module)
+    found = importlib.import_module(module)
     return getattr(found, name) if name else found
 
 

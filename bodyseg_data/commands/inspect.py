@@ -1,5 +1,7 @@
 """`bodyseg inspect`: draw a contact sheet of a set, or count what it holds."""
 
+from __future__ import annotations
+
 import json
 import sys
 from collections import Counter
@@ -10,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
+from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VARIANTS, VariantName
 from bodyseg_data.commands.options import OCCLUDER_HELP, WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
@@ -17,8 +20,7 @@ from bodyseg_data.commands.records import check_target
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.drawing import Row, check_picture, draw_sheet, save_picture
 from bodyseg_data.labels import label_map_names
-from bodyseg_data.loading import OccluderName, RangeImages
-from bodyseg_data.samples import SPLITS, ReadSplit
+from bodyseg_data.samples import SPLITS, OccluderName, ReadSplit
 from bodyseg_data.shards import BODY_FIELDS, column_names
 
 EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
@@ -57,7 +59,7 @@ def run(options: Options) -> int:
         check_target(options.out, "--out")
     if not 1 <= options.rows <= MOST_ROWS:
         raise BadConfig(f"--rows must be 1 to {MOST_ROWS}, found {options.rows}")
-    images = RangeImages(
+    images = loading.RangeImages(
         options.folder,
         options.variant,
         options.split,
@@ -76,7 +78,7 @@ def run(options: Options) -> int:
     return 0
 
 
-def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
+def contact_sheet(images: loading.RangeImages, rows: int) -> Image.Image:
     """Draw a sheet of `rows` samples spread over the set, or of all if there are fewer, in the variants it can give."""
     count = min(rows, len(images))
     lines = []
@@ -94,7 +96,7 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
     return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor, images.label_map)
 
 
-def summarise(images: RangeImages) -> dict[str, Any]:
+def summarise(images: loading.RangeImages) -> dict[str, Any]:
     """Count a set's samples and pixels and the share that a variant keeps of the clean foreground, as plain JSON."""
     splits, subsets, subjects = Counter[str](), Counter[str](), Counter[str]()
     label_map = images.label_map

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core.doors import lazy_door
 
 if TYPE_CHECKING:
+    from bodyseg_data.core.doors import signals_held
     from bodyseg_data.core.errors import (
         BadConfig,
         BadLandmarks,

@@ -1,13 +1,20 @@
-"""Doors of rooms: the public names of a package, each imported on first use, so that importing a room stays cheap."""
+"""Doors of rooms: the public names of a package, each imported on first use, so that importing a room stays cheap; and
+signals put off, as while a room is imported.
+"""
 
 from __future__ import annotations
 
+import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
-from types import CodeType, SimpleNamespace
-from typing import Any
+from types import CodeType, FrameType, SimpleNamespace
+from typing import Any, Final
+
+ENDING: Final = (signal.SIGINT, signal.SIGTERM)
+"""Signals that ask a command to end."""
 
 
 def lazy_door(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -25,7 +32,11 @@ def lazy_door(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
     def found(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(homes[name]), name)
+        # Raised while PyTorch is imported, an interrupt can end in C++, which aborts the process. Not where SIGTERM is
+        # left to the system: there may be handlers of C, such as rclpy's, that could not be put back.
+        fresh = homes[name] not in sys.modules and callable(signal.getsignal(signal.SIGTERM))
+        with signals_held() if fresh else nullcontext():
+            return getattr(import_module(homes[name]), name)
 
     def listed() -> list[str]:
         return sorted({*frame.f_globals, *homes})
@@ -49,3 +60,36 @@ def _all_imports(code: CodeType) -> dict[str, str]:
     with suppress(Exception):  # where a compiler has left other code than type checkers read
         exec(code, {"__builtins__": {"__import__": note}})
     return homes
+
+
+@contextmanager
+def signals_held(only_first: bool = False) -> Iterator[None]:
+    """Put off the handling of SIGINT and SIGTERM until the context ends, in the main thread.
+
+    only_first: a second signal is handled at once, for contexts that may last. Other threads receive no signals, so
+    nothing is put off there.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+
+    def put_off(number: int, frame: FrameType | None) -> None:
+        if came and only_first:
+            restore()
+            signal.raise_signal(came.pop())
+        else:
+            came.append(number)
+
+    def restore() -> None:
+        for number, action in before.items():
+            signal.signal(number, action)
+
+    # None: a handler of the program that embeds Python, such as Blender; it could not be set again.
+    before = {number: signal.signal(number, put_off) for number in ENDING if signal.getsignal(number) is not None}
+    try:
+        yield
+    finally:
+        restore()
+        for late in came:
+            signal.raise_signal(late)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from bodyseg_data.loading.loaders import Loader, loader
     from bodyseg_data.loading.mixture import Mixture
     from bodyseg_data.loading.pipelines import decoder
-    from bodyseg_data.loading.range_images import OccluderName, RangeImages
+    from bodyseg_data.loading.range_images import RangeImages
     from bodyseg_data.loading.transform import BadTransform, CameraImage, Transform
     from bodyseg_data.loading.transforms import BodyCrop, Crop, Flip, Remnants, Roll, Zoom
     from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerLost, WorkerMethod

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -45,7 +45,7 @@ from bodyseg_data.loading.transform import (
     transformed_shape,
     transforms_to_json,
 )
-from bodyseg_data.samples import ReadSplit, Sample, metres
+from bodyseg_data.samples import OccluderName, ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RIG_FIELD,
     TALLY,
@@ -63,10 +63,6 @@ from bodyseg_data.shards import (
     with_columns,
     with_kept_index,
 )
-
-OccluderName = Literal["stored", "camera"]
-OCCLUDERS: Final[tuple[OccluderName, ...]] = get_args(OccluderName)
-"""What the projector's range comes from: the set, or what the camera sees."""
 
 
 class RangeImages(SampleDataset):
@@ -143,7 +139,7 @@ class RangeImages(SampleDataset):
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
         self._casts = occluder == "camera" and self.augmentation.needs_projector
-        self.occluder = check_choice("occluder", occluder, OCCLUDERS)
+        self.occluder = check_choice("occluder", occluder, get_args(OccluderName))
         if self.augmentation.needs_projector and self.manifest.projector == "none" and occluder == "stored":
             raise BadConfig(
                 f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "

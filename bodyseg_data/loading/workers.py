@@ -24,8 +24,6 @@ from multiprocessing.reduction import ForkingPickler
 from queue import Empty, SimpleQueue
 from typing import Any, Final, Literal, Protocol
 
-import torch
-
 from bodyseg_data.core import BadConfig, BodysegError
 
 
@@ -312,6 +310,8 @@ def _serve_process(carried: _Carried, pipe: Connection, inherited: Sequence[Conn
     for other in inherited:
         other.close()  # otherwise sibling workers would keep each other's pipes open
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    import torch  # here, as commands offer `WorkerMethod` before they need it
+
     torch.set_num_threads(1)
     work, requests = carried.opened(), SimpleQueue[Any]()
     threading.Thread(target=_receive, args=(pipe, requests), daemon=True).start()

@@ -32,11 +32,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import BadConfig, MissingLibrary, check_choice
+from bodyseg_data.core import BadConfig, MissingLibrary, check_choice, signals_held
 from bodyseg_data.files import cache_folder
 from bodyseg_data.machine.host import processors
 from bodyseg_data.machine.libraries import required
-from bodyseg_data.machine.threads import signals_held
 
 VARIABLE: Final = "BODYSEG_KERNELS"
 _CHOICES: Final = ("auto", "numpy", "compiled")
@@ -100,7 +99,7 @@ def compiled(loops: Callable[..., Any], feature: str = "a compiled loop", extra:
     function._cache = _Kept(loops)
     compiles = function.compile
     held = signals_held(only_first=True)(compiles)  # the compiler has Python called by C, which would lose an interrupt
-    # Not where SIGTERM is left to the system: there may be handlers of C, such as rclpy's, that could not be put back.
+    # Not where SIGTERM is left to the system, as in `lazy_door`.
     function.compile = lambda *given: (held if callable(signal.getsignal(signal.SIGTERM)) else compiles)(*given)
     return function
 

@@ -1,24 +1,18 @@
-"""Threads of this process: work divided among them, those of torch, and signals put off until they have finished.
+"""Threads of this process: work divided among them, and those of torch.
 
 Compiled loops run side by side, as they leave Python's lock. The bits of torch's sums depend on its number of threads.
 """
 
 import itertools
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
-from types import FrameType
-from typing import Final, TypeVar
+from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-ENDING: Final = (signal.SIGINT, signal.SIGTERM)
-"""Signals that ask a command to end."""
 
 
 def pieces(count: int, parts: int) -> list[tuple[int, int]]:
@@ -82,36 +76,3 @@ def torch_threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-@contextmanager
-def signals_held(only_first: bool = False) -> Iterator[None]:
-    """Put off the handling of SIGINT and SIGTERM until the context ends, in the main thread.
-
-    only_first: a second signal is handled at once, for contexts that may last. Other threads receive no signals, so
-    nothing is put off there.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-
-    def put_off(number: int, frame: FrameType | None) -> None:
-        if came and only_first:
-            restore()
-            signal.raise_signal(came.pop())
-        else:
-            came.append(number)
-
-    def restore() -> None:
-        for number, action in before.items():
-            signal.signal(number, action)
-
-    # None: a handler of the program that embeds Python, such as Blender; it could not be set again.
-    before = {number: signal.signal(number, put_off) for number in ENDING if signal.getsignal(number) is not None}
-    try:
-        yield
-    finally:
-        restore()
-        for late in came:
-            signal.raise_signal(late)

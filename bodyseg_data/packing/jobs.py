@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.machine import processors, signals_held
+from bodyseg_data.core import BadConfig, reported, signals_held
+from bodyseg_data.machine import processors
 
 Result = TypeVar("Result")
 

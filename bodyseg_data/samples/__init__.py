@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         READ_SPLITS,
         SHADOW_THRESHOLDS,
         SPLITS,
+        OccluderName,
         Occupancy,
         ReadSplit,
         Sample,

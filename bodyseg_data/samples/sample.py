@@ -26,6 +26,9 @@ ReadSplit = Literal["train", "val", "test"]
 READ_SPLITS: Final[tuple[ReadSplit, ...]] = ("train", "val", "test")
 """The splits that a set can be read by."""
 
+OccluderName = Literal["stored", "camera"]
+"""What the projector's range comes from: the set, or what the camera sees."""
+
 _FIRST_FOR_TRAINING: Final = {"A": 57, "people": 467}
 _MOTION_FOR_TESTING: Final = {"B": "jumping", "C": "squat"}
 

@@ -1,4 +1,7 @@
-"""Commands that use networks, one module each."""
+"""Commands that use networks, one module each.
+
+They import rooms whole, and a name of a room where it is used, as help and refused options need no PyTorch.
+"""
 
 from typing import TYPE_CHECKING
 

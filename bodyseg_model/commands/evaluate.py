@@ -1,44 +1,23 @@
 """`bodyseg evaluate`: score a network on the test split of one set or several."""
 
+from __future__ import annotations
+
 import dataclasses
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model, parse_artifacts
 from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, check_target, command_line, option, provenance
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
 from bodyseg_data.files import last_name, make_folder, write_json
 from bodyseg_data.labels import LabelMap
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod
 from bodyseg_data.machine import peak_mb
-from bodyseg_data.samples import ReadSplit
-from bodyseg_model.evaluation import (
-    Evaluation,
-    RigFit,
-    SamplePicture,
-    evaluate,
-    open_images,
-    report,
-    sensor_warning,
-    time_frames,
-)
-from bodyseg_model.networks import CheckpointName, Trained
-from bodyseg_model.runtimes import (
-    BACKEND_HELP,
-    FLIP_HELP,
-    PRECISION_HELP,
-    RUN_HELP,
-    BackendName,
-    Precision,
-    backend_of,
-    load_network,
-    put_on_backend,
-    to_device,
-)
-from bodyseg_model.training import use_threads
+from bodyseg_data.samples import OccluderName, ReadSplit
+from bodyseg_model import evaluation, networks, runtimes, training
 
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
 
@@ -51,11 +30,11 @@ _OF_IMAGES: Final = ("variant", "split", "val_share", "where", "seed", "sensor",
 class Options:
     data: tuple[str, ...] = option("sets of shards to score on: folders or addresses", address=True)
     json: Path = option("write the scores to this file")
-    run: Path | None = option(RUN_HELP, None, heading="Network")
-    backend: BackendName | None = option(BACKEND_HELP, None)
-    precision: Precision | None = option(PRECISION_HELP, None)
-    flip_average: bool = option(FLIP_HELP, False)
-    checkpoint: CheckpointName | None = option(
+    run: Path | None = option(runtimes.RUN_HELP, None, heading="Network")
+    backend: runtimes.BackendName | None = option(runtimes.BACKEND_HELP, None)
+    precision: runtimes.Precision | None = option(runtimes.PRECISION_HELP, None)
+    flip_average: bool = option(runtimes.FLIP_HELP, False)
+    checkpoint: networks.CheckpointName | None = option(
         "weights of the training in --run: its best or its last (default: those that it ended with)", None
     )
     variant: VariantName = option("artifacts that the images have", "all", heading="Images")
@@ -75,28 +54,30 @@ class Options:
     frames: int = option("images on which the network is timed, one by one (0: not at all)", 50)
     batch_size: int = option("images that go through the network together", 16, heading="Machine")
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
-    worker_method: WorkerMethod = option("kind of these workers: threads or processes", DEFAULT_WORKER_METHOD)
-    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
-    threads: int | None = option("threads that compute on the processor (default: all)", None)
+    worker_method: loading.WorkerMethod = option(
+        "kind of these workers: threads or processes", loading.DEFAULT_WORKER_METHOD
+    )
+    device: str | None = option(runtimes.DEVICE_HELP, None)
+    threads: int | None = option(runtimes.THREADS_HELP, None)
 
 
 def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
-    trained = load_network(options.run, options.checkpoint)
-    trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
+    trained = runtimes.load_network(options.run, options.checkpoint)
+    trained = runtimes.put_on_backend(trained, options.backend, options.precision, options.flip_average)
     step, recipe = trained.card.get("step"), trained.card.get("recipe")
     steps = recipe.get("steps") if isinstance(recipe, dict) else None
     if isinstance(step, int) and step != steps:
         sys.stderr.write(f"the network's weights are those after step {step} of {steps}\n")
-    to_device(trained.network, options.device)
+    runtimes.to_device(trained.network, options.device)
     sets = _open(options, trained.label_map if options.labels is None else options.labels)
     _check_fit(options, trained, sets)
     facts = _facts(options, trained)  # first, as files may change meanwhile
-    picture = None if options.figures is None else SamplePicture(sets[0].label_map)
+    picture = None if options.figures is None else evaluation.SamplePicture(sets[0].label_map)
     found = _evaluate(options, trained, sets, picture)
     times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
-    scores = report(found)
+    scores = evaluation.report(found)
     seconds = {stage: round(value / 1000, 2) for stage, value in found.milliseconds.items()}
     described = [_describe(images, options.images, trained) for images in sets]
     write_json(
@@ -129,7 +110,7 @@ def _check(options: Options) -> None:
     for name, value, least in (("images", options.images, 1), ("frames", options.frames, 0)):
         if value is not None and value < least:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")
-    use_threads(options.threads)
+    training.use_threads(options.threads)
     check_target(options.json, "--json")
     if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
         raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
@@ -139,13 +120,13 @@ def _check(options: Options) -> None:
         check_target(options.figures / "parts.png", "--figures")
 
 
-def _open(options: Options, labels: str | LabelMap) -> list[RangeImages]:
+def _open(options: Options, labels: str | LabelMap) -> list[loading.RangeImages]:
     """Open the sets. Raises BadConfig if two of them share a sample, which would count twice."""
     sets, path_of = [], dict[str, str]()
     sensor = load_sensor_model(options.sensor)
     artifacts = parse_artifacts(options.artifacts, "--artifacts", sensor)
     for path in options.data:
-        images = open_images(
+        images = evaluation.open_images(
             path,
             options.variant,
             options.split,
@@ -167,19 +148,24 @@ def _open(options: Options, labels: str | LabelMap) -> list[RangeImages]:
     return sets
 
 
-def _check_fit(options: Options, trained: Trained, sets: list[RangeImages]) -> None:
+def _check_fit(options: Options, trained: networks.Trained, sets: list[loading.RangeImages]) -> None:
     """Warn of images of another rig or with other artifacts; raises BadConfig for a rig that is far off."""
     for images in sets:
         name = last_name(images.path)
-        fit = RigFit.worst(trained.rig, images.manifest.rigs)
-        for line in (fit.check(name, options.other_rig), sensor_warning(trained, images.augmentation, name)):
+        fit = evaluation.RigFit.worst(trained.rig, images.manifest.rigs)
+        for line in (fit.check(name, options.other_rig), evaluation.sensor_warning(trained, images.augmentation, name)):
             if line is not None:
                 sys.stderr.write(f"bodyseg evaluate: warning: {line}\n")
 
 
-def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], picture: SamplePicture | None) -> Evaluation:
+def _evaluate(
+    options: Options,
+    trained: networks.Trained,
+    sets: list[loading.RangeImages],
+    picture: evaluation.SamplePicture | None,
+) -> evaluation.Evaluation:
     total = sum(_count(images, options.images) for images in sets)
-    found, before = Evaluation(label_map=sets[0].label_map), 0
+    found, before = evaluation.Evaluation(label_map=sets[0].label_map), 0
 
     def show(done: int, _: int) -> None:
         progress.update(before + done, total)
@@ -187,7 +173,7 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
     with Progress("evaluating", "images") as progress:
         for images in sets:
             found.merge(
-                evaluate(
+                evaluation.evaluate(
                     trained.network,
                     images,
                     options.images,
@@ -203,30 +189,32 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
     return found
 
 
-def _times(trained: Trained, images: RangeImages, frames: int) -> dict[str, Any]:
+def _times(trained: networks.Trained, images: loading.RangeImages, frames: int) -> dict[str, Any]:
     """Time the network on the first images of the first set."""
     chosen = images.order(images.epoch)[:frames].tolist()
-    times = dataclasses.asdict(time_frames(trained.network, [images[index]["range"][None] for index in chosen]))
+    times = dataclasses.asdict(
+        evaluation.time_frames(trained.network, [images[index]["range"][None] for index in chosen])
+    )
     return {name: round(value, 2) if isinstance(value, float) else value for name, value in times.items()}
 
 
-def _facts(options: Options, trained: Trained) -> dict[str, Any]:
+def _facts(options: Options, trained: networks.Trained) -> dict[str, Any]:
     """Provenance of the scores: command, network, artifacts."""
     facts: dict[str, Any] = {"format": _FORMAT, **provenance(command_line("bodyseg evaluate", options))}
     facts["run"] = None if options.run is None else options.run.name
     facts["card"] = trained.card
-    facts["runtime"] = backend_of(trained.network)
+    facts["runtime"] = runtimes.backend_of(trained.network)
     return facts | {name: getattr(options, name) for name in _OF_IMAGES}
 
 
-def _describe(images: RangeImages, count: int | None, trained: Trained) -> dict[str, Any]:
+def _describe(images: loading.RangeImages, count: int | None, trained: networks.Trained) -> dict[str, Any]:
     manifest, identity = images.manifest, images.identity()
     return {
         "name": last_name(images.path),
         "source": manifest.source,
         "renderer": manifest.renderer,
         "rig": ", ".join(rig.name for rig in manifest.rigs),
-        "pixels_a_metre_of_trained": round(RigFit.worst(trained.rig, manifest.rigs).pixels_a_metre, 4),
+        "pixels_a_metre_of_trained": round(evaluation.RigFit.worst(trained.rig, manifest.rigs).pixels_a_metre, 4),
         "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
         "samples_of_split": len(images),
         "evaluated": _count(images, count),
@@ -235,7 +223,7 @@ def _describe(images: RangeImages, count: int | None, trained: Trained) -> dict[
     }
 
 
-def _count(images: RangeImages, count: int | None) -> int:
+def _count(images: loading.RangeImages, count: int | None) -> int:
     return len(images) if count is None else min(count, len(images))
 
 

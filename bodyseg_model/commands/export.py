@@ -1,5 +1,7 @@
 """`bodyseg export`: write a trained network as two small files, weights and card, or as one ONNX file."""
 
+from __future__ import annotations
+
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +10,11 @@ from typing import Any
 from bodyseg_data.commands import option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json, write_json
-from bodyseg_model.networks import CardWords, Trained, confusion_file, load_network, save_network
-from bodyseg_model.runtimes import OPSET, SUFFIX, write_onnx
+from bodyseg_model import networks, runtimes
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
-_OF_THE_FILE = ("format", "network", "settings", CardWords.WEIGHTS_SHA256)
+_OF_THE_FILE = ("format", "network", "settings", networks.CardWords.WEIGHTS_SHA256)
 
 
 @dataclass(frozen=True)
@@ -30,27 +31,30 @@ def run(options: Options) -> int:
     """Write the network, its filters in 16 bits, and the card; and the ONNX file."""
     if options.out is None and options.onnx is None:
         raise BadConfig("give the file to write: --out FILE.safetensors or --onnx FILE.onnx")
-    for name, path, suffix in (("out", options.out, ".safetensors"), ("onnx", options.onnx, SUFFIX)):
+    for name, path, suffix in (("out", options.out, ".safetensors"), ("onnx", options.onnx, runtimes.SUFFIX)):
         if path is not None and path.suffix != suffix:
             raise BadConfig(f"--{name} must be a {suffix} file, found {path}")
-    trained = load_network(options.run)
+    trained = networks.load_network(options.run)
     scores, confusion = dict[str, Any](), None
     if options.scores is not None:
         figures = read_json(options.scores)
         card = figures.get("card")
-        if not isinstance(card, dict) or card.get(CardWords.WEIGHTS_SHA256) != trained.card[CardWords.WEIGHTS_SHA256]:
+        if (
+            not isinstance(card, dict)
+            or card.get(networks.CardWords.WEIGHTS_SHA256) != trained.card[networks.CardWords.WEIGHTS_SHA256]
+        ):
             of = options.run or "compact"
             raise BadConfig(f"--scores must be what bodyseg evaluate --json wrote of {of}, found {options.scores}")
         confusion, scores = figures.pop("confusion", None), {"scores": figures}
     if options.onnx is not None:
-        size = write_onnx(options.onnx, Trained(trained.network, {**trained.card, **scores}))
-        sys.stderr.write(f"wrote {options.onnx}, {size / 1e6:.1f} MB, opset {OPSET}\n")
+        size = runtimes.write_onnx(options.onnx, networks.Trained(trained.network, {**trained.card, **scores}))
+        sys.stderr.write(f"wrote {options.onnx}, {size / 1e6:.1f} MB, opset {runtimes.OPSET}\n")
     if options.out is not None:
         facts = {name: value for name, value in trained.card.items() if name not in _OF_THE_FILE}
-        save_network(options.out, trained.network, trained.card["network"], {**facts, **scores}, half=True)
+        networks.save_network(options.out, trained.network, trained.card["network"], {**facts, **scores}, half=True)
         if confusion is not None:
-            write_json(confusion_file(options.out), {"confusion": confusion})
+            write_json(networks.confusion_file(options.out), {"confusion": confusion})
         elif options.run is None or options.run.resolve() != options.out.resolve():
-            confusion_file(options.out).unlink(missing_ok=True)  # of the network that was there
+            networks.confusion_file(options.out).unlink(missing_ok=True)  # of the network that was there
         sys.stderr.write(f"wrote {options.out}, {options.out.stat().st_size / 1e6:.1f} MB\n")
     return 0

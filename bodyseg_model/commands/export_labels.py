@@ -4,6 +4,8 @@ COCO's as cocodataset.org/#format-data describes them; DensePose's charts as det
 them; LeRobot's v3.0 as the package `lerobot` 0.4 reads it. A new format is a function and an entry of `FORMATS`.
 """
 
+from __future__ import annotations
+
 import io
 import json
 import shutil
@@ -21,17 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance
 from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, check_int
 from bodyseg_data.files import held_part, part_beside, read_json, write_json
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PARTS33, LabelMap, label_map_from_json
-from bodyseg_data.loading import RangeImages
 from bodyseg_data.renders import read_array
 from bodyseg_data.samples import Split, split_key
 from bodyseg_data.shards import column_names, open_store
+from bodyseg_model import segmentation
 from bodyseg_model.recordings import find_frames
-from bodyseg_model.segmentation import SUMMARY, UNFINISHED, ImageKind
 
 EXAMPLE = "bodyseg export-labels --in labelled --out coco --format coco"
 
@@ -103,9 +105,9 @@ def run(options: Options) -> int:
         raise BadConfig(f"--out must not hold the folder in which the command runs, found {options.out}")
     out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
     folder = Path(options.folder)
-    if (folder / UNFINISHED).is_file():
+    if (folder / segmentation.UNFINISHED).is_file():
         raise BadConfig(f"`bodyseg segment` has not ended in {folder}: repeat its call")
-    old, opened = part_beside(out), _frames if (folder / SUMMARY).is_file() else _samples
+    old, opened = part_beside(out), _frames if (folder / segmentation.SUMMARY).is_file() else _samples
     try:
         held = sorted(each.name for each in out.iterdir() if not each.name.startswith(_APPLES)) if out.exists() else []
         note = read_json(out / _NOTE) if _NOTE in held else {}
@@ -148,7 +150,7 @@ def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Im
     chosen: dict[str, Any] = {"sensor": options.sensor, "labels": options.labels, "where": options.where}
     chosen["columns"] = [name for name in column_names(open_store(options.folder)[0]) if name == "instances"]
     planes = [options.instances] if options.instances else []
-    images = RangeImages(options.folder, options.variant, options.split, options.seed, planes=planes, **chosen)
+    images = loading.RangeImages(options.folder, options.variant, options.split, options.seed, planes=planes, **chosen)
     plane = options.instances or ("instances" if "instances" in images.manifest.planes else None)
     numbers = {key: at for at, key in enumerate(chain.from_iterable(each.keys for each in images.manifest.shards), 1)}
 
@@ -175,13 +177,13 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
             raise BadConfig(f"--{name} is for sets, not for {options.folder}, which `bodyseg segment` wrote")
     folder = Path(options.folder)
     try:
-        summary = read_json(folder / SUMMARY)
-        label_map = label_map_from_json(summary["labels"], f"{folder / SUMMARY}, labels")
+        summary = read_json(folder / segmentation.SUMMARY)
+        label_map = label_map_from_json(summary["labels"], f"{folder / segmentation.SUMMARY}, labels")
         each = [(str(at["name"]), str(at["path_id"])) for at in summary["each"]]
         times = [at.get("time_s") for at in summary["each"]]
         tracks = [{n: b["track"] for n, b in enumerate(at["bodies"], 1) if "track" in b} for at in summary["each"]]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadConfig(f"{folder / SUMMARY} is none of `bodyseg segment`: {error!r}") from error
+        raise BadConfig(f"{folder / segmentation.SUMMARY} is none of `bodyseg segment`: {error!r}") from error
     given = find_frames(options.frames, options.topic, summary.get("given_unit_m")) if options.frames else []
     frames = {each.path_id: each for each in given}
 
@@ -190,19 +192,21 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
             if Path(name).is_absolute() or ".." in Path(name).parts:
                 raise BadConfig(f"an image's name must stay in its folder, found {name}")
             of_range: tuple[Any, float, str] = (None, 1e-3, "")
-            labels = read_array(folder / ImageKind.LABELS / f"{name}.png")
+            labels = read_array(folder / segmentation.ImageKind.LABELS / f"{name}.png")
             if labels.ndim != 2 or labels.dtype != np.uint8:
                 raise BadConfig(f"labels must be uint8 [H, W], found {labels.dtype} {labels.shape}: {name}")
             if len(wrong := labels[(labels >= len(label_map)) & (labels != BACKGROUND)]):
                 raise BadConfig(f"labels must be below {len(label_map)}, or {BACKGROUND}, found {wrong[0]}: {name}")
-            instances = read_array(folder / ImageKind.PERSONS / f"{name}.png") if label_map.of_bodies else None
+            instances = (
+                read_array(folder / segmentation.ImageKind.PERSONS / f"{name}.png") if label_map.of_bodies else None
+            )
             if instances is not None and (instances.dtype != np.uint16 or instances.shape != labels.shape):
                 found = f"{instances.dtype} {instances.shape}: {name}"
                 raise BadConfig(f"persons must be uint16 {labels.shape}, as their labels, found {found}")
             if frames:
                 if path_id not in frames:
                     raise BadConfig(f"--frames must be those labelled, where they lay: {name} is not among them")
-                frame, bent = frames[path_id], folder / ImageKind.UNDISTORTED / f"{name}.png"
+                frame, bent = frames[path_id], folder / segmentation.ImageKind.UNDISTORTED / f"{name}.png"
                 ranges = read_array(bent) if bent.exists() else frame.read()
                 if ranges.shape != labels.shape:
                     raise BadConfig(f"{frame.where}: its labels are of another size, {labels.shape}")

@@ -16,6 +16,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import rig_names
+from bodyseg_model import runtimes, segmentation, sensor_fit, training
 from bodyseg_model.recordings import (
     CENTRE_HELP,
     FOCAL_HELP,
@@ -26,31 +27,6 @@ from bodyseg_model.recordings import (
     labels_out,
     metres_a_step,
 )
-from bodyseg_model.runtimes import (
-    BACKEND_HELP,
-    FLIP_HELP,
-    QUICK_PRECISION_HELP,
-    RUN_HELP,
-    BackendName,
-    Precision,
-    load_network,
-    quick_precision,
-)
-from bodyseg_model.segmentation import (
-    TURNED_HELP,
-    Background,
-    BackgroundMode,
-    FrameLabeller,
-    FrameResults,
-    ImageKind,
-    LabelledRecording,
-    OutputFolder,
-    Preview,
-    SequenceSummary,
-    Turned,
-)
-from bodyseg_model.sensor_fit import ShadowFrames
-from bodyseg_model.training import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
@@ -66,10 +42,10 @@ class Options:
     out: Path = option("folder that gets labels, persons, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)
     points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
-    run: Path | None = option(RUN_HELP, None, heading="Network")
-    backend: BackendName | None = option(BACKEND_HELP, None)
-    precision: Precision | None = option(QUICK_PRECISION_HELP, None)
-    flip_average: bool = option(FLIP_HELP, False)
+    run: Path | None = option(runtimes.RUN_HELP, None, heading="Network")
+    backend: runtimes.BackendName | None = option(runtimes.BACKEND_HELP, None)
+    precision: runtimes.Precision | None = option(runtimes.QUICK_PRECISION_HELP, None)
+    flip_average: bool = option(runtimes.FLIP_HELP, False)
     labels: str | None = option(
         "classes to give, joined from the network's: a label map, such as limbs14 (default: the network's)", None
     )
@@ -81,8 +57,8 @@ class Options:
     focal: float | None = option(FOCAL_HELP, None)
     centre: tuple[float, ...] = option(CENTRE_HELP, ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
-    turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
-    background: BackgroundMode | None = option(
+    turned: segmentation.Turned | None = option(f"{segmentation.TURNED_HELP} (default: the rig's roll)", None)
+    background: segmentation.BackgroundMode | None = option(
         "what is labelled; people: those found from --near to --far; limits: all from --near to --far, as one body; "
         "keep: all that was measured, as one body; frame: the whole frame as it stands (default: people, or frame for "
         "a network of other classes than body parts)",
@@ -104,8 +80,8 @@ class Options:
     skip_unreadable: int = option("skip up to this many frames that cannot be read; summary.json lists them", 0)
     fps: float = option("frames a second of preview.gif, and of --labels-out where frames have no times", 10.0)
     ahead: bool = option("find the people of the next frame while this one is labelled", False, heading="Machine")
-    threads: int | None = option("threads that compute on the processor (default: all)", None)
-    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    threads: int | None = option(runtimes.THREADS_HELP, None)
+    device: str | None = option(runtimes.DEVICE_HELP, None)
 
 
 def run(options: Options) -> int:
@@ -116,29 +92,31 @@ def run(options: Options) -> int:
 
 def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
-    use_threads(options.threads)
+    training.use_threads(options.threads)
     step_m = None if options.units is None else metres_a_step(options.units)
-    trained = load_network(options.run, dense=options.dense)
-    mode = options.background or Background.usual(trained.label_map).mode
-    background = Background.of_options(mode, options.near, options.far)
+    trained = runtimes.load_network(options.run, dense=options.dense)
+    mode = options.background or segmentation.Background.usual(trained.label_map).mode
+    background = segmentation.Background.of_options(mode, options.near, options.far)
     frames = find_frames(options.frames, options.topic, step_m)
-    labeller = FrameLabeller(
+    labeller = segmentation.FrameLabeller(
         trained,
         background,
         mirrored=options.mirrored,
         least_confidence=options.confidence,
         keep_things=options.keep_things,
-        finder=None if options.finder is None else load_network(options.finder),
+        finder=None if options.finder is None else runtimes.load_network(options.finder),
         video=options.video,
         backend=options.backend,
-        precision=options.precision or quick_precision(trained.network, options.backend, options.device),
+        precision=options.precision or runtimes.quick_precision(trained.network, options.backend, options.device),
         flip_average=options.flip_average,
         device=options.device,
         turned=options.turned,
         dense=options.dense,
         labels=options.labels,
     )
-    animation = Preview(options.fps, labeller.label_map)  # checks the rate, which labels without times have, too
+    animation = segmentation.Preview(
+        options.fps, labeller.label_map
+    )  # checks the rate, which labels without times have, too
     preview = None if options.no_overlay else animation
     recording = labeller.recording(
         frames,
@@ -149,16 +127,18 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     )
     cameras = recording.cameras
     written = {
-        ImageKind.LABELS: True,
-        ImageKind.PERSONS: labeller.label_map.of_bodies,
-        ImageKind.OVERLAY: not options.no_overlay,
-        ImageKind.UNDISTORTED: cameras.bent,
-        ImageKind.TEMPLATE: options.dense,
+        segmentation.ImageKind.LABELS: True,
+        segmentation.ImageKind.PERSONS: labeller.label_map.of_bodies,
+        segmentation.ImageKind.OVERLAY: not options.no_overlay,
+        segmentation.ImageKind.UNDISTORTED: cameras.bent,
+        segmentation.ImageKind.TEMPLATE: options.dense,
     }
     shape = cameras.first.camera.rows, cameras.first.camera.columns
-    out = OutputFolder(options.out, options.frames, frames, [kind for kind, wanted in written.items() if wanted])
-    results = FrameResults(out, labeller.label_map, preview, shape)
-    shadows = ShadowFrames(len(frames), _SHADOW_FRAMES)
+    out = segmentation.OutputFolder(
+        options.out, options.frames, frames, [kind for kind, wanted in written.items() if wanted]
+    )
+    results = segmentation.FrameResults(out, labeller.label_map, preview, shape)
+    shadows = sensor_fit.ShadowFrames(len(frames), _SHADOW_FRAMES)
     with _labels_out(options, labeller.label_map) as messages:
         claim.enter_context(out.claimed())
         results.begin()
@@ -215,7 +195,11 @@ def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractCon
 
 
 def _remarks(
-    options: Options, recording: LabelledRecording, summary: SequenceSummary, shadows: ShadowFrames, per_second: float
+    options: Options,
+    recording: segmentation.LabelledRecording,
+    summary: segmentation.SequenceSummary,
+    shadows: sensor_fit.ShadowFrames,
+    per_second: float,
 ) -> list[str]:
     """Lines for standard error: the results, and warnings about what looks wrong."""
     frames, camera = len(recording) - len(recording.skipped), recording.cameras.common or recording.cameras.first

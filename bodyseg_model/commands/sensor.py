@@ -1,5 +1,7 @@
 """`bodyseg sensor`: measure the artifacts of a sensor from its own frames of people; show sensor models."""
 
+from __future__ import annotations
+
 import json
 import sys
 from dataclasses import dataclass
@@ -11,6 +13,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_result
 from bodyseg_data.rigs import load_rig, rig_names
+from bodyseg_model import segmentation, sensor_fit
 from bodyseg_model.recordings import (
     CENTRE_HELP,
     FOCAL_HELP,
@@ -23,8 +26,6 @@ from bodyseg_model.recordings import (
     find_frames,
     metres_a_step,
 )
-from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
-from bodyseg_model.sensor_fit import draw_comparison, fit_sensor, read_recording
 
 EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sensor.toml"
 
@@ -41,8 +42,8 @@ class Options:
     rig: str | None = option(f"sensor of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option(FOCAL_HELP, None)
     centre: tuple[float, ...] = option(CENTRE_HELP, ())
-    turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
-    background: BackgroundMode = option(
+    turned: segmentation.Turned | None = option(f"{segmentation.TURNED_HELP} (default: the rig's roll)", None)
+    background: segmentation.BackgroundMode = option(
         "what is a body; people: as segment finds them; limits: all from --near to --far; keep, frame: all measured",
         "people",
     )
@@ -66,9 +67,9 @@ def run(options: Options) -> int:
     files, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
     camera = FrameCameras(files, options.rig, options.focal, options.centre, load_rig(), skipping).first
     quarters = _quarters(options, files, background, camera)
-    recording = read_recording(files, camera.camera, background, options.nearer_than, skipping, quarters)
+    recording = sensor_fit.read_recording(files, camera.camera, background, options.nearer_than, skipping, quarters)
     with Progress("measuring", "steps") as progress:
-        fit = fit_sensor(recording, camera, progress.update)
+        fit = sensor_fit.fit_sensor(recording, camera, progress.update)
     model = fit.model(options.name)
     if options.json:
         sys.stdout.write(json.dumps({**fit.to_json(), "sensor": model.to_json()}, indent=1) + "\n")
@@ -80,7 +81,7 @@ def run(options: Options) -> int:
         write_result(options.out, model.to_toml(fit.comments()).encode())
         sys.stderr.write(f"wrote {options.out}\n")
     if options.picture is not None:
-        save_picture(draw_comparison(recording, model), options.picture)
+        save_picture(sensor_fit.draw_comparison(recording, model), options.picture)
         sys.stderr.write(f"wrote {options.picture}\n")
     if not model.artifacts:
         unknown = sum(each.verdict == "cannot be told" for each in fit.findings)
@@ -94,11 +95,11 @@ def run(options: Options) -> int:
     return 0
 
 
-def _quarters(options: Options, files: list[Frame], background: Background, camera: FrameCamera) -> int:
+def _quarters(options: Options, files: list[Frame], background: segmentation.Background, camera: FrameCamera) -> int:
     """Right angles by which frames are turned clockwise, as `bodyseg segment` turns them."""
     if options.turned != "auto":
         return round(camera.camera.roll_deg / 90) if options.turned is None else int(options.turned) // 90
-    labeller = FrameLabeller(background=background, turned="auto")
+    labeller = segmentation.FrameLabeller(background=background, turned="auto")
     found = labeller.recording(
         files,
         rig=options.rig,
@@ -109,9 +110,9 @@ def _quarters(options: Options, files: list[Frame], background: Background, came
     return found.turned_deg // 90
 
 
-def _background(options: Options) -> Background:
-    found = Background.of_options(options.background, options.near, options.far)
-    if options.nearer_than is not None and found != Background():
+def _background(options: Options) -> segmentation.Background:
+    found = segmentation.Background.of_options(options.background, options.near, options.far)
+    if options.nearer_than is not None and found != segmentation.Background():
         raise BadConfig("--nearer-than finds bodies alone: leave out --background, --near and --far")
     if options.nearer_than is not None and not options.nearer_than > 0:
         raise BadConfig(f"--nearer-than must be above 0 m, found {options.nearer_than:g}")

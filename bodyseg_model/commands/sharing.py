@@ -19,6 +19,7 @@ from bodyseg_data.transfer import (
     set_bundle,
     transfer,
 )
+from bodyseg_model.networks import CardWords, RunFiles, confusion_file
 
 
 class Push:
@@ -74,8 +75,6 @@ class Pull:
 
 def network_file(path: Path) -> Path:
     """Return the .safetensors file of a training's folder, or the path if it is one. Raises BadConfig."""
-    from bodyseg_model.networks import RunFiles
-
     file = path / RunFiles.NETWORK if path.is_dir() else path
     if path.is_dir() and file.exists() and RunFiles.unfinished(path):
         carry_on = f"carry it on by --resume, or name {file}, an earlier one"
@@ -94,8 +93,6 @@ def page_file(path: Path) -> Path:
 
 def _bundle_at(address: str) -> tuple[Store, Bundle]:
     """Open the store at an address, and find the set or network there."""
-    from bodyseg_model.networks import RunFiles
-
     path, mark, query = address.partition("?") if address.startswith(("http://", "https://")) else (address, "", "")
     weights = path.rpartition("/")[2] if path.endswith(".safetensors") else ""
     if weights:
@@ -116,8 +113,6 @@ def _network_bundle(store: Store, weights: str) -> Bundle:
     weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
     OSError or Unreachable.
     """
-    from bodyseg_model.networks import CardWords, RunFiles, confusion_file
-
     file = Path(weights)
     index = file.with_suffix(".json").name
     data = read_page(store, index)

@@ -1,5 +1,7 @@
 """`bodyseg stability`: robustness of networks to sensor artifacts."""
 
+from __future__ import annotations
+
 import sys
 import time
 from collections.abc import Iterator
@@ -8,32 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import torch
-
+from bodyseg_data import loading
 from bodyseg_data.commands import WHERE_HELP, Progress, check_target, command_line, option, provenance
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.drawing import new_chart
 from bodyseg_data.files import last_name, make_folder, write_json
 from bodyseg_data.labels import PART_CLASSES
-from bodyseg_data.loading import RangeImages
-from bodyseg_model.networks import find_device
-from bodyseg_model.stability import (
-    FEWEST_SEEDS,
-    SWEEPS,
-    Group,
-    Run,
-    Scenes,
-    Sweep,
-    chosen,
-    draw_stability,
-    evaluate_conditions,
-    group,
-    group_of,
-    load_runs,
-    of_rig,
-    summarise,
-)
-from bodyseg_model.training import use_threads
+from bodyseg_model import networks, runtimes, stability, training
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
 
@@ -49,24 +32,24 @@ class Options:
         "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
     hard: str | None = option("set of hard poses, for the sweep 'hard' (default: without it)", None, address=True)
-    sweeps: tuple[str, ...] = option(f"sweeps to measure: {', '.join(SWEEPS)} (default: all)", ())
+    sweeps: tuple[str, ...] = option(f"sweeps to measure: {', '.join(stability.SWEEPS)} (default: all)", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
     images: int = option("images at each strength of a sweep", 40)
     seed: int = option("seed of the artifacts, and of the images drawn by --images", 0)
-    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
-    threads: int | None = option("threads that compute on the processor (default: all)", None)
+    device: str | None = option(runtimes.DEVICE_HELP, None)
+    threads: int | None = option(runtimes.THREADS_HELP, None)
 
 
 def run(options: Options) -> int:
     """Measure the sweeps, write stability.json, then draw."""
     check_int("--images", options.images, 1)
-    use_threads(options.threads)
-    sweeps = chosen(options.sweeps, options.hard is not None)
-    device = find_device(options.device)
+    threads = training.use_threads(options.threads)
+    sweeps = stability.chosen(options.sweeps, options.hard is not None)
+    device = networks.find_device(options.device)
     facts = provenance(command_line("bodyseg stability", options))  # first, as files may change meanwhile
-    runs = load_runs((*options.run, *options.reference))
-    groups = group(runs)
-    reference = group_of(groups, options.reference)
+    runs = stability.load_runs((*options.run, *options.reference))
+    groups = stability.group(runs)
+    reference = stability.group_of(groups, options.reference)
     new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
     make_folder(options.out)
     written, picture = options.out / "stability.json", options.out / "stability.png"
@@ -78,7 +61,7 @@ def run(options: Options) -> int:
         "format": _FORMAT,
         **facts,
         "device": str(device),
-        "threads": torch.get_num_threads(),
+        "threads": threads,
         "networks": {
             each.name: {name: each.trained.card.get(name) for name in ("command", "commit", "hardware")}
             for each in runs
@@ -87,7 +70,7 @@ def run(options: Options) -> int:
     }
     figures["seconds"] = round(time.perf_counter() - start, 1)
     write_json(written, figures)
-    draw_stability(figures, picture)
+    stability.draw_stability(figures, picture)
     sys.stdout.writelines(f"{line}\n" for line in _curves(figures))
     sys.stderr.write(f"{_remarks(groups, reference)}wrote {written}, {picture}\n")
     return 0
@@ -104,10 +87,14 @@ def _curves(figures: dict[str, Any]) -> Iterator[str]:
 
 
 def _images(
-    options: Options, runs: list[Run], groups: list[Group], sweeps: dict[str, Sweep], reference: Group | None
+    options: Options,
+    runs: list[stability.Run],
+    groups: list[stability.Group],
+    sweeps: dict[str, stability.Sweep],
+    reference: stability.Group | None,
 ) -> dict[str, Any]:
     """Measure the sweeps over images."""
-    opened = partial(RangeImages, variant="none", split="test", seed=options.seed, where=options.where)
+    opened = partial(loading.RangeImages, variant="none", split="test", seed=options.seed, where=options.where)
     images, hard = opened(options.data), None if options.hard is None else opened(options.hard)
     for each in filter(None, (images, hard)):
         if each.manifest.classes != PART_CLASSES:
@@ -115,21 +102,21 @@ def _images(
                 f"{each.path}: stability is measured on the 33 parts of bodies, found the classes "
                 f"{each.manifest.classes.name!r}"
             )
-    sweeps = of_rig(sweeps, images.manifest.rig)
+    sweeps = stability.of_rig(sweeps, images.manifest.rig)
     conditions = [*dict.fromkeys(each for name, sweep in sweeps.items() for each in sweep.conditions(name))]
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
-        scenes = Scenes(images, options.images, hard, bodies.update)
-        found = evaluate_conditions(runs, conditions, scenes, progress.update)
+        scenes = stability.Scenes(images, options.images, hard, bodies.update)
+        found = stability.evaluate_conditions(runs, conditions, scenes, progress.update)
     return {
         "images": len(scenes),
         "seed": options.seed,
         "data": _describe(images),
         "hard": None if hard is None else _describe(hard),
-        **summarise(groups, sweeps, found, reference),
+        **stability.summarise(groups, sweeps, found, reference),
     }
 
 
-def _describe(images: RangeImages) -> dict[str, Any]:
+def _describe(images: loading.RangeImages) -> dict[str, Any]:
     return {
         "name": last_name(images.path),
         "source": images.manifest.source,
@@ -139,9 +126,9 @@ def _describe(images: RangeImages) -> dict[str, Any]:
     }
 
 
-def _remarks(groups: list[Group], reference: Group | None) -> str:
+def _remarks(groups: list[stability.Group], reference: stability.Group | None) -> str:
     """Lines for standard error about missing seeds or reference."""
     few = [each.label for each in groups if each.few_seeds]
-    lines = [f"fewer than {FEWEST_SEEDS} seeds, so no spread to speak of: {', '.join(few)}\n"] if few else []
+    lines = [f"fewer than {stability.FEWEST_SEEDS} seeds, so no spread to speak of: {', '.join(few)}\n"] if few else []
     lines += [] if reference is not None else ["no --reference, so no mCE\n"]
     return "".join(lines)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from bodyseg_data import RangeImages, Remnants
+from bodyseg_data import loading
 from bodyseg_data.artifacts import (
     PAPER_SENSOR,
     Artifact,
@@ -30,36 +30,9 @@ from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, command_l
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
 from bodyseg_data.labels import PARTS33, TEMPLATE, LabelMap, label_map_names
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, OccluderName, WorkerMethod, find_rank
 from bodyseg_data.machine import computes_bfloat16
-from bodyseg_data.samples import ReadSplit
-from bodyseg_model.networks import (
-    CardWords,
-    CheckpointName,
-    Network,
-    NetworkName,
-    Trained,
-    build,
-    find_device,
-    load_network,
-    network_class,
-)
-from bodyseg_model.training import (
-    DEFAULT_EVERY,
-    WAITING_ADVICE,
-    GeometricAugmentation,
-    Metrics,
-    OptimiserName,
-    Recipe,
-    RecipeName,
-    Report,
-    RunOptions,
-    Validation,
-    mixed,
-    recipe_for,
-    train,
-    use_threads,
-)
+from bodyseg_data.samples import OccluderName, ReadSplit
+from bodyseg_model import networks, runtimes, training
 
 _WAIT_ADVISED: Final = 0.2  # share of a training's time spent waiting for images from which on there is advice
 _CLASSES: Final = "classes"
@@ -73,7 +46,7 @@ class Options:
     data: tuple[str, ...] = option("sets of shards to train on, their train splits: folders or addresses", address=True)
     out: Path = option("folder of this training, new or empty, for its log, checkpoints and network")
     variant: VariantName = option("artifacts that the images have", "all")
-    network: NetworkName = option("network to train", "compact")
+    network: networks.NetworkName = option("network to train", "compact")
     weights: tuple[float, ...] = option("weight of each set (default: its number of samples)", (), heading="Images")
     samples: int | None = option("samples in an epoch (default: as many as the sets have together)", None)
     labels: str | None = option(
@@ -91,12 +64,12 @@ class Options:
         (PAPER_SENSOR,),
     )
     artifacts: str = option('strengths in place of those of the sensor, as JSON like {"noise": {"high_mm": 50}}', "{}")
-    recipe: RecipeName | None = option("recipe to start with (default: the network's)", None, heading="Recipe")
+    recipe: training.RecipeName | None = option("recipe to start with (default: the network's)", None, heading="Recipe")
     steps: int | None = option("updates of the weights (default: the recipe's); --resume takes another number", None)
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("batches whose gradients are added up for a step (default: the recipe's)", None)
     learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
-    optimiser: OptimiserName | None = option("optimiser of the weights (default: the recipe's)", None)
+    optimiser: training.OptimiserName | None = option("optimiser of the weights (default: the recipe's)", None)
     no_geometric_augmentation: bool = option("leave bodies where they are: no rotation, zoom or cuts of images", False)
     bust: float | None = option("share of the images that show only the upper body (default: the recipe's)", None)
     remnants: float = option("share of the images with remnants of a wall beside the body, as masks leave them", 0.0)
@@ -107,7 +80,9 @@ class Options:
     )
     val_every: int | None = option("steps between validations (default: 500)", None)
     val_images: int | None = option("images of each set to validate on (default: all that are held out)", None)
-    keep: CheckpointName | None = option("weights to end with: best validation's or last step's (default: best)", None)
+    keep: networks.CheckpointName | None = option(
+        "weights to end with: best validation's or last step's (default: best)", None
+    )
     seed: int = option("seed of initial weights, order, artifacts and all other draws", 0, heading="Run")
     resume: bool = option("carry on the training in --out from its last checkpoint", False)
     pretrained: Path | None = option(
@@ -123,47 +98,51 @@ class Options:
         "recipe",
         heading="Machine",
     )
-    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
-    threads: int | None = option("threads that compute on the processor (default: all)", None)
+    device: str | None = option(runtimes.DEVICE_HELP, None)
+    threads: int | None = option(runtimes.THREADS_HELP, None)
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
-    worker_method: WorkerMethod = option("kind of these workers: threads or processes", DEFAULT_WORKER_METHOD)
+    worker_method: loading.WorkerMethod = option(
+        "kind of these workers: threads or processes", loading.DEFAULT_WORKER_METHOD
+    )
     checkpoint_every: int = option("steps between checkpoints", 500)
     log_every: int = option("steps between lines of the log", 20)
 
 
 def run(options: Options) -> int:
     """Train to the end."""
-    use_threads(options.threads)
+    training.use_threads(options.threads)
     if options.only_template and options.pretrained is None:
         raise BadConfig("--only-template trains a head for a network that is trained: give that as --pretrained")
-    named = {each.name: getattr(options, each.name) for each in fields(Recipe) if hasattr(options, each.name)}
-    recipe = recipe_for(
-        options.recipe or network_class(options.network).default_recipe,
+    named = {each.name: getattr(options, each.name) for each in fields(training.Recipe) if hasattr(options, each.name)}
+    recipe = training.recipe_for(
+        options.recipe or networks.network_class(options.network).default_recipe,
         **named,
         only_places=options.only_template,
         mirror=False if options.no_mirror else None,
-        geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
+        geometric_augmentation=training.GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16=_bf16(options),
     )
     if options.bust is not None:
         placed = replace(recipe.geometric_augmentation, bust=options.bust)
         recipe = replace(recipe, geometric_augmentation=placed)
-    run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.worker_method)
+    run_options = training.RunOptions(
+        options.log_every, options.checkpoint_every, options.num_workers, options.worker_method
+    )
     validation = _validation(options)
     settings = parse_json(options.settings.encode(), "--settings")
     planes = (TEMPLATE,) if settings.get(TEMPLATE) else ()
     sets = [_open(options, *pair, "train", planes) for pair in itertools.product(options.data, options.sensor)]
-    images = mixed(sets, options.weights, options.samples, options.seed)
+    images = training.mixed(sets, options.weights, options.samples, options.seed)
     start = _start(options)
     network = _network(options, images.label_map, start, settings)
     pretrained = _pretrained(options, network, start, images)
-    first_process = find_rank()[0] == 0
+    first_process = loading.find_rank()[0] == 0
     clean = dict.fromkeys(each.augmentation.sensor.name for each in sets if not each.augmentation.applied)
     for name in clean if first_process and options.variant != "none" else ():
         sys.stderr.write(f"sensor {name} has no artifact of variant {options.variant}: images stay clean\n")
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every)) if first_process else None
-        trained = train(
+        trained = training.train(
             images,
             options.out,
             network,
@@ -188,12 +167,14 @@ def _bf16(options: Options) -> bool | None:
     """True if layers compute in bfloat16, None as the recipe says: a processor that must emulate it takes 8 times as
     long as in float32.
     """
-    emulated = find_device(options.device).type == "cpu" and not computes_bfloat16()
+    emulated = networks.find_device(options.device).type == "cpu" and not computes_bfloat16()
     return {"recipe": False if emulated else None, "float32": False, "bfloat16": True}[options.precision]
 
 
-def _open(options: Options, address: str, sensor: str, split: ReadSplit, planes: tuple[str, ...] = ()) -> RangeImages:
-    return RangeImages(
+def _open(
+    options: Options, address: str, sensor: str, split: ReadSplit, planes: tuple[str, ...] = ()
+) -> loading.RangeImages:
+    return loading.RangeImages(
         address,
         options.variant,
         split,
@@ -205,11 +186,11 @@ def _open(options: Options, address: str, sensor: str, split: ReadSplit, planes:
         labels=options.labels,
         occluder=options.occluder,
         planes=planes,
-        transform=[Remnants(options.remnants)] if split == "train" and options.remnants else [],
+        transform=[loading.Remnants(options.remnants)] if split == "train" and options.remnants else [],
     )
 
 
-def _validation(options: Options) -> Validation | None:
+def _validation(options: Options) -> training.Validation | None:
     """The validation that options ask for. Raises BadConfig for one of them without images held out."""
     if not options.val_share:
         for flag, value in (
@@ -220,9 +201,9 @@ def _validation(options: Options) -> Validation | None:
             if value is not None:
                 raise BadConfig(f"{flag} is for a training with images to validate on: give --val-share, like 0.1")
         return None
-    return Validation(
+    return training.Validation(
         [_open(options, *pair, "val") for pair in itertools.product(options.data, options.sensor)],
-        DEFAULT_EVERY if options.val_every is None else options.val_every,
+        training.DEFAULT_EVERY if options.val_every is None else options.val_every,
         options.val_images,
         options.keep or "best",
     )
@@ -240,27 +221,31 @@ def _sensor(options: Options, name: str) -> SensorModel:
     return sensor_for(options.variant, sensor, given)
 
 
-def _start(options: Options) -> Trained | None:
+def _start(options: Options) -> networks.Trained | None:
     """The trained network that the training starts from; None for random or published weights. Raises BadConfig for one
     of another kind.
     """
     path = options.pretrained
     if path is None or not (path.is_dir() or path.suffix in ("", ".safetensors")):
         return None
-    start = load_network(path)
+    start = networks.load_network(path)
     _check_alike(path, "network", options.network, start.card["network"])
     return start
 
 
-def _network(options: Options, label_map: LabelMap, start: Trained | None, given: Mapping[str, Any]) -> Network:
+def _network(
+    options: Options, label_map: LabelMap, start: networks.Trained | None, given: Mapping[str, Any]
+) -> networks.Network:
     """A new network for these classes, with the settings of the one it starts from where none are given."""
     theirs = {} if start is None else start.network.settings
     settings = {name: value for name, value in theirs.items() if name not in _OF_HEADS}
     classes = {} if label_map == PARTS33 else {_CLASSES: len(label_map)}
-    return build(options.network, {**settings, **classes, **given}, options.seed)
+    return networks.build(options.network, {**settings, **classes, **given}, options.seed)
 
 
-def _pretrained(options: Options, network: Network, start: Trained | None, images: ImageSet) -> dict[str, Any] | None:
+def _pretrained(
+    options: Options, network: networks.Network, start: networks.Trained | None, images: loading.ImageSet
+) -> dict[str, Any] | None:
     """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file,
     None for random weights.
 
@@ -285,7 +270,7 @@ def _pretrained(options: Options, network: Network, start: Trained | None, image
         anew = ", ".join(name for name in new if name not in fit)
         does = f"{anew} begin at random" if anew else "all weights are kept, as there are as many"
         sys.stderr.write(f"{path} has other classes, {theirs.name!r}: {does}\n")
-    return _entry(path, start.card[CardWords.WEIGHTS_SHA256])
+    return _entry(path, start.card[networks.CardWords.WEIGHTS_SHA256])
 
 
 def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
@@ -294,11 +279,11 @@ def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
 
 
 def _entry(path: Path, digest: str) -> dict[str, Any]:
-    return {"file": path.resolve().name, CardWords.WEIGHTS_SHA256: digest}
+    return {"file": path.resolve().name, networks.CardWords.WEIGHTS_SHA256: digest}
 
 
 @contextlib.contextmanager
-def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
+def reporting(folder: Path, steps: int, log_every: int) -> Iterator[training.Report]:
     """Report a training in `folder`: progress on standard error, and TensorBoard's log where that is installed."""
     new_board: Any = None
     try:
@@ -313,7 +298,7 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
     before = 0  # step of the last line
     waits: dict[str, float] = defaultdict(float)
 
-    def report(metrics: Metrics) -> None:
+    def report(metrics: training.Metrics) -> None:
         nonlocal board, first, before
         if metrics.waited_for is not None:
             waits[metrics.waited_for] += metrics.data_wait * min(log_every, metrics.step - before) / steps
@@ -345,6 +330,6 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
             board.close()
         if waits and sum(waits.values()) > _WAIT_ADVISED:
             stage = max(waits, key=waits.__getitem__)
-            sys.stderr.write(f"waited mostly for {stage}; what may help: {WAITING_ADVICE[stage]}\n")
+            sys.stderr.write(f"waited mostly for {stage}; what may help: {training.WAITING_ADVICE[stage]}\n")
     if first is None:
         sys.stderr.write(f"{folder} holds this training, which has ended: a larger --steps carries it on\n")

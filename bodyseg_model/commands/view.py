@@ -15,11 +15,8 @@ from bodyseg_data.labels import label_map_names
 from bodyseg_data.rigs import rig_names
 from bodyseg_data.samples import ReadSplit
 from bodyseg_data.shards import MANIFEST_NAME
-from bodyseg_model.networks import Trained, find_device, load_network
+from bodyseg_model import networks, runtimes, segmentation, training, viewing
 from bodyseg_model.recordings import CENTRE_HELP, FOCAL_HELP, UNITS_HELP, find_frames, metres_a_step
-from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
-from bodyseg_model.training import use_threads
-from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, SetPage, SetView, Shown
 
 EXAMPLE = "bodyseg view shards"
 
@@ -32,11 +29,11 @@ class Options:
         "folder or address of a set of shards; or frames as `segment` reads them", positional=True, address=True
     )
     run: Path | None = option("network: 'large', a training's folder or a .safetensors file (default: compact)", None)
-    host: str = option("address to serve on; any but loopback lets other machines in", LOOPBACK)
+    host: str = option("address to serve on; any but loopback lets other machines in", viewing.LOOPBACK)
     allow_host: tuple[str, ...] = option("further names of hosts to answer under, such as a proxy's", ())
     port: int = option("port to serve on, or the next free one", 8080)
     save: Path | None = option("folder that gets saved pictures (default: the browser downloads them)", None)
-    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    device: str | None = option(runtimes.DEVICE_HELP, None)
     split: ReadSplit | None = option("split to show (default: train and test)", None, heading="Sets")
     val_share: float = option("share of the train split that counts as val, not as train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
@@ -55,8 +52,8 @@ class Options:
     focal: float | None = option(FOCAL_HELP, None)
     centre: tuple[float, ...] = option(CENTRE_HELP, ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
-    turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
-    background: BackgroundMode | None = option("what is labelled, as for `segment`", None)
+    turned: segmentation.Turned | None = option(f"{segmentation.TURNED_HELP} (default: the rig's roll)", None)
+    background: segmentation.BackgroundMode | None = option("what is labelled, as for `segment`", None)
     keep_things: bool = option("also label what the finder takes for people and the network doubts", False)
     confidence: float = option("leave pixels of less confidence than this, 0 to 1, without a label", 0.0)
 
@@ -67,25 +64,25 @@ def run(options: Options) -> int:
     check_options(options, kind)
     if options.save is not None and not options.save.is_dir():
         raise BadConfig(f"--save must be a folder that is there, found {options.save}")
-    use_threads(None)
-    trained = load_network(options.run)
-    trained.network.to(find_device(options.device))
-    view: SetView | RecordingView
+    training.use_threads(None)
+    trained = networks.load_network(options.run)
+    trained.network.to(networks.find_device(options.device))
+    view: viewing.SetView | viewing.RecordingView
     if kind == "set":
         chosen = options.split, options.only, options.where, options.val_share, options.seed, options.labels
-        view = plain = SetView(options.source[0], None, *chosen)
+        view = plain = viewing.SetView(options.source[0], None, *chosen)
         if options.run is not None or plain.images.manifest.classes == trained.label_map.of:  # the shipped one's
-            view = SetView(options.source[0], trained, *chosen)
+            view = viewing.SetView(options.source[0], trained, *chosen)
     else:
         view = _recording_view(options, trained)
-    index = view.first_index() if isinstance(view, SetView) else 0
-    first = Shown(index, options.variant, sensor=load_sensor_model(options.sensor))
-    page, recording = Page(options.host, options.port, "bodyseg view", options.save, options.allow_host), None
+    index = view.first_index() if isinstance(view, viewing.SetView) else 0
+    first = viewing.Shown(index, options.variant, sensor=load_sensor_model(options.sensor))
+    page, recording = viewing.Page(options.host, options.port, "bodyseg view", options.save, options.allow_host), None
     try:
-        if isinstance(view, SetView):
-            SetPage(page, view, first)
+        if isinstance(view, viewing.SetView):
+            viewing.SetPage(page, view, first)
         else:
-            recording = RecordingPage(page, view)
+            recording = viewing.RecordingPage(page, view)
         sys.stderr.write(f"{welcome(page.address, options.host, page.port)}\n")
         sys.stderr.flush()
         threading.Event().wait()
@@ -128,7 +125,7 @@ def check_options(options: Options, kind: str) -> None:
             raise BadConfig(f"{flag_of(field)} is for {other.lower()}, found it with a {kind}")
 
 
-def _recording_view(options: Options, trained: Trained) -> RecordingView:
+def _recording_view(options: Options, trained: networks.Trained) -> viewing.RecordingView:
     step_m = None if options.units is None else metres_a_step(options.units)
     paths = [Path(each) for each in options.source]
     try:
@@ -137,13 +134,15 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
         if not all(path.is_dir() for path in paths):
             raise
         raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
-    labeller = FrameLabeller(
+    labeller = segmentation.FrameLabeller(
         trained,
-        None if options.background is None else Background(options.background),
+        None if options.background is None else segmentation.Background(options.background),
         mirrored=options.mirrored,
         least_confidence=options.confidence,
         keep_things=options.keep_things,
         device=options.device,
         turned=options.turned,
     )
-    return RecordingView(labeller.recording(frames, rig=options.rig, focal_px=options.focal, centre_px=options.centre))
+    return viewing.RecordingView(
+        labeller.recording(frames, rig=options.rig, focal_px=options.focal, centre_px=options.centre)
+    )

@@ -24,8 +24,8 @@ from bodyseg_data.artifacts import (
 )
 from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_choice, check_int, silent
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
-from bodyseg_data.samples import ReadSplit, metres
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod, loader
+from bodyseg_data.samples import OccluderName, ReadSplit, metres
 from bodyseg_model.evaluation.gross_errors import MEASURABLE, GrossErrors, TrueSurface
 from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks import Network, check_label_map, check_network, device_of, predict

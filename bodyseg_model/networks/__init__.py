@@ -11,13 +11,9 @@ if TYPE_CHECKING:
     from bodyseg_model.networks.checkpoints import (
         FINDER,
         SHIPPED,
-        CardWords,
         Checkpoint,
-        CheckpointName,
-        RunFiles,
         Trained,
         check_trained,
-        confusion_file,
         load_network,
         read_checkpoint,
         save_network,
@@ -25,10 +21,10 @@ if TYPE_CHECKING:
         wrapped,
     )
     from bodyseg_model.networks.labelling import label_pixels
+    from bodyseg_model.networks.names import CardWords, CheckpointName, NetworkName, RunFiles, confusion_file
     from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
     from bodyseg_model.networks.patch_loops import BITS, nearest
     from bodyseg_model.networks.registry import (
-        NetworkName,
         build,
         check_network,
         device_of,

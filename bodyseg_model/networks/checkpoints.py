@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from threading import get_ident
 from types import NoneType
-from typing import Any, ClassVar, Final, Literal, get_args
+from typing import Any, ClassVar, Final, get_args
 
 import torch
 from safetensors import SafetensorError
@@ -24,12 +24,9 @@ from bodyseg_data.core import BadConfig, check_choice, check_class, reported
 from bodyseg_data.files import parts_left, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
+from bodyseg_model.networks.names import CHECKPOINT, CardWords, CheckpointName, RunFiles
 from bodyseg_model.networks.network import Network, WrappedModule, check_label_map
 from bodyseg_model.networks.registry import build
-
-_CHECKPOINT: Final = "checkpoint.json"  # step, loader state and tensors' name of a run's last checkpoint
-
-CheckpointName = Literal["best", "last"]
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 """Of the quick network that labels bodies."""
@@ -45,42 +42,6 @@ PLACES: Final = SHIPPED.with_name("compact_places.safetensors")
 
 FINDER: Final = SHIPPED.with_name("finder.safetensors")
 """Of the network that finds people in rooms, whose classes are those of the label map "people"."""
-
-
-class RunFiles:
-    """Names of files in a run's folder."""
-
-    NETWORK: Final = "network.safetensors"
-    """The trained network; its card is the .json beside it."""
-
-    BEST: Final = "best.safetensors"
-    """The weights of the best validation, in the form of `NETWORK`."""
-
-    PLAN: Final = "run.json"
-
-    @staticmethod
-    def unfinished(folder: Path) -> bool:
-        """True if a run's folder has a checkpoint, and no network of that step or a later one."""
-        if not (folder / _CHECKPOINT).exists():
-            return False
-        card = (folder / RunFiles.NETWORK).with_suffix(".json")
-        if not card.exists():
-            return True
-        reached, step = read_json(card).get("last_step"), read_json(folder / _CHECKPOINT).get("step")
-        return isinstance(reached, int) and isinstance(step, int) and reached < step
-
-
-class CardWords:
-    """Words of a network's card that others than this module write or check."""
-
-    FORMAT: Final = "bodyseg network 1"
-
-    WEIGHTS_SHA256: Final = "weights_sha256"
-    """Entry: the SHA-256 of the .safetensors file of the weights, in hexadecimal."""
-
-    PRETRAINED: Final = "pretrained"
-    """Entry, of a plan too: file and `WEIGHTS_SHA256` of the weights that a training started from; null, or not in a
-    plan, for one that started from random weights."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +105,7 @@ class Checkpoint:
         """Write this to a run's folder, and delete the one before when this one is complete. Raises BadConfig."""
         digest = write_tensors(folder / self.file, self.tensors)
         note = {"step": self.step, "loader_state": self.loader_state, "tensors": self.file, "sha256": digest}
-        write_json(folder / _CHECKPOINT, note)
+        write_json(folder / CHECKPOINT, note)
         for old in (*folder.glob(f"checkpoint-{'[0-9]' * 8}.safetensors"), *parts_left(folder)):
             if old.name != self.file:
                 with contextlib.suppress(OSError):
@@ -313,7 +274,7 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
 
     Raises BadConfig if it is damaged.
     """
-    file = folder / _CHECKPOINT
+    file = folder / CHECKPOINT
     if not file.exists():
         return None
     note = read_json(file)
@@ -343,11 +304,6 @@ def _last_weights(folder: Path) -> Trained:
     steps = {"step": checkpoint.step, "last_step": checkpoint.step}
     card = {**plan, "format": CardWords.FORMAT, **steps, CardWords.WEIGHTS_SHA256: checkpoint.sha256}
     return trained_network(network, card, folder / RunFiles.PLAN)
-
-
-def confusion_file(path: Path) -> Path:
-    """Path of the confusion matrix of a network's scores, beside its weights `path` (.safetensors)."""
-    return path.with_suffix(".confusion.json")
 
 
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:

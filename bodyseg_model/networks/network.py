@@ -1,6 +1,6 @@
 """Base class of every network, the mean over an image and its mirror image, and range images as networks see them.
 
-A new network is one file in this folder with a subclass of `Network`, and one entry of `registry.NETWORKS`. The
+A new network is one file in this folder with a subclass of `Network`, and one entry of `names.NETWORKS`. The
 subclass defines `scores`, and overrides the attributes and methods in which it differs from the defaults here.
 
 Networks see images checked, centred, averaged, and cut into the patches that `compact` reads. By PyTorch's operations,

@@ -1,11 +1,11 @@
-"""Registry of networks, and their predictions: a new network is a file in this folder and an entry of `NETWORKS`."""
+"""Networks by name, of those in `names.NETWORKS`, and their predictions."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch import nn
 from bodyseg_data.core import BadConfig, Draws, check_choice
 from bodyseg_data.labels import BACKGROUND, NOWHERE
 from bodyseg_data.machine import use_compiled
+from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.networks.network import Network, check_range_images
 
 
@@ -28,18 +29,6 @@ class Prediction(NamedTuple):
 
     labels: torch.Tensor
     confidence: torch.Tensor
-
-
-NETWORKS: Final[dict[str, str]] = {
-    "fcn_alexnet": "bodyseg_model.networks.fcn_alexnet.FcnAlexnet",
-    "compact": "bodyseg_model.networks.compact.Compact",
-}
-"""Name -> "package.module.Class", imported when a network of that name is built."""
-
-if TYPE_CHECKING:
-    NetworkName = str
-else:
-    NetworkName = Literal[tuple(NETWORKS)]
 
 
 def network_class(name: str) -> type[Network]:

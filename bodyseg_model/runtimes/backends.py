@@ -9,7 +9,7 @@ import copy
 import itertools
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import Any, get_args
 
 import torch
 from torch import nn
@@ -30,7 +30,7 @@ from bodyseg_model.networks import (
     trained_network,
 )
 from bodyseg_model.networks import load_network as load_weights
-from bodyseg_model.runtimes.libraries import MOST_BYTES, RUNTIMES, Precision, Runtime
+from bodyseg_model.runtimes.libraries import MOST_BYTES, OF_FILES, RUNTIMES, TORCH, BackendName, Precision, Runtime
 from bodyseg_model.runtimes.onnx_files import SUFFIX, OnnxModel, read_onnx, scores_part, to_onnx
 
 
@@ -78,31 +78,6 @@ class RuntimeNetwork(Network):
         if list(found.shape) != wanted:
             raise BadConfig(f"by its stride and classes, scores must be {wanted}, found {list(found.shape)}")
         return torch.from_numpy(found).permute(0, 3, 1, 2)
-
-
-TORCH: Final = "torch"
-OF_FILES: Final = "onnxruntime"
-"""The backend of an ONNX file for which none is named."""
-
-RUN_HELP: Final = "network: 'large', a training's folder, a .safetensors or .onnx file (default: compact)"
-BACKEND_HELP: Final = (
-    "library that computes the network (default: torch, or onnxruntime for an .onnx file); on a processor, openvino "
-    "takes 0.8 to 1.0 times as long as torch in the same precision"
-)
-FLIP_HELP: Final = (
-    "average with labels of the mirror image: 0.6 points more on real people, in 1.5 to 2 times the network's time"
-)
-PRECISION_HELP: Final = "number type in which the network computes (default: float32)"
-QUICK_PRECISION_HELP: Final = (
-    "number type in which the network computes (default: bfloat16 on a processor with instructions for it, else "
-    "float32; for an .onnx file, float32)"
-)
-
-
-if TYPE_CHECKING:
-    BackendName = str
-else:
-    BackendName = Literal[(TORCH, *RUNTIMES)]
 
 
 def on_backend(network: Network, backend: BackendName | None = None, precision: Precision | None = None) -> Network:

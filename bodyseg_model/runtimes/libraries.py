@@ -7,7 +7,7 @@ import io
 from abc import ABC, abstractmethod
 from functools import cache
 from threading import Lock
-from typing import Any, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,3 +101,29 @@ class OpenVino(Runtime):
 
 RUNTIMES: Final[dict[str, type[Runtime]]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
 """Name -> class, which imports its library when it is used."""
+
+TORCH: Final = "torch"
+OF_FILES: Final = "onnxruntime"
+"""The backend of an ONNX file for which none is named."""
+
+if TYPE_CHECKING:
+    BackendName = str
+else:
+    BackendName = Literal[(TORCH, *RUNTIMES)]
+
+RUN_HELP: Final = "network: 'large', a training's folder, a .safetensors or .onnx file (default: compact)"
+BACKEND_HELP: Final = (
+    "library that computes the network (default: torch, or onnxruntime for an .onnx file); on a processor, openvino "
+    "takes 0.8 to 1.0 times as long as torch in the same precision"
+)
+FLIP_HELP: Final = (
+    "average with labels of the mirror image: 0.6 points more on real people, in 1.5 to 2 times the network's time"
+)
+PRECISION_HELP: Final = "number type in which the network computes (default: float32)"
+QUICK_PRECISION_HELP: Final = (
+    "number type in which the network computes (default: bfloat16 on a processor with instructions for it, else "
+    "float32; for an .onnx file, float32)"
+)
+DEVICE_HELP: Final = "device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)"
+THREADS_HELP: Final = "threads that compute on the processor (default: all)"
+"""Help of options of commands on networks, where those commands find it without PyTorch."""

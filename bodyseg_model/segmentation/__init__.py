@@ -8,19 +8,17 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.carried_labels import CarriedLabels
-    from bodyseg_model.segmentation.finder import Background, BackgroundMode, find_bodies
+    from bodyseg_model.segmentation.finder import Background, find_bodies
     from bodyseg_model.segmentation.frame_labeller import (
-        TURNED_HELP,
         FrameLabeller,
         LabelledFrame,
         LabelledRecording,
-        Turned,
     )
     from bodyseg_model.segmentation.joints import JOINTS
     from bodyseg_model.segmentation.output_folder import SUMMARY, UNFINISHED, FrameResults, ImageKind, OutputFolder
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
     from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter
     from bodyseg_model.segmentation.sequence_summary import STILL_M, SequenceSummary, flicker
-    from bodyseg_model.segmentation.views import view_body
+    from bodyseg_model.segmentation.views import TURNED_HELP, BackgroundMode, Turned, view_body
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache, partial
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -21,9 +21,7 @@ from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import box_of
 from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
-from bodyseg_model.segmentation.views import compiled_loops
-
-BackgroundMode = Literal["people", "limits", "keep", "frame"]
+from bodyseg_model.segmentation.views import BackgroundMode, compiled_loops
 
 _PERSON: Final = 0  # of the finder's two classes
 _SURE: Final = 3.0  # log odds of 95 %

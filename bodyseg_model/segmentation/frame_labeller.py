@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar, cast, get_args
+from typing import Any, Final, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,17 +28,12 @@ from bodyseg_model.segmentation.segmenter import (
     Segmenter,
     least_confidence_of_people,
 )
-from bodyseg_model.segmentation.views import Undistortion, metres_of
+from bodyseg_model.segmentation.views import Turned, Undistortion, metres_of
 
 _READ: Final = "read"
 _KEPT: Final = 16  # cameras whose segmenters and turns are kept: an undistortion takes as much as several frames
 
 _END: Final = object()
-
-Turned = Literal["0", "90", "180", "270", "auto"]
-
-TURNED_HELP: Final = "turn of the camera, by where heads point in frames: up 0, left 90, down 180, right 270; or auto"
-"""Help of `--turned`."""
 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
 _MOST_LOOKED_AT: Final = 32  # frames of a recording; of a stream, its first ones, then one in `_SELDOM`

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import import_module
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,12 @@ from bodyseg_data.machine import compile_ahead
 from bodyseg_data.rigs import Camera, Distortion, Rig, load_rig
 from bodyseg_data.samples import FARTHEST_STEPS
 from bodyseg_model.recordings import check_metres
+
+BackgroundMode = Literal["people", "limits", "keep", "frame"]
+Turned = Literal["0", "90", "180", "270", "auto"]
+
+TURNED_HELP: Final = "turn of the camera, by where heads point in frames: up 0, left 90, down 180, right 270; or auto"
+"""Help of `--turned`."""
 
 LARGEST_SIDE: Final = 2048
 """Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_choice, reported, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
-from bodyseg_data.loading import CameraImage, RangeImages, Remnants
+from bodyseg_data.loading import CameraImage, Remnants
 from bodyseg_data.meshes import Partition
 from bodyseg_data.packing import Sampler, draw_things, in_front
 from bodyseg_data.rendering import Renderer, Surface, open_renderer
@@ -37,6 +37,9 @@ from bodyseg_data.samples import Sample, View, box_of, metres, steps
 from bodyseg_model.evaluation import TrueSurface
 from bodyseg_model.recordings import other_sensors
 from bodyseg_model.segmentation import view_body
+
+if TYPE_CHECKING:  # with which PyTorch comes: `SWEEPS` is in the help of a command
+    from bodyseg_data.loading import RangeImages
 
 Origin = Literal["stored", "rendered"]
 

@@ -5,71 +5,59 @@ people partly out of view.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from importlib import import_module
 
 import torch
 
-from bodyseg_data.core import Checked, Draws, bounded
+from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PARTS33, LabelMap
 from bodyseg_data.machine import if_ready
 from bodyseg_model.networks import in_loops
+from bodyseg_model.training.recipes import GeometricAugmentation
 
 
-@dataclass(frozen=True)
-class GeometricAugmentation(Checked):
-    """Ranges of random rotation, zoom and cuts of the images of a training; 0 for none. For `Recipe`.
+def placed(
+    ranges: GeometricAugmentation,
+    range_m: torch.Tensor,
+    labels: torch.Tensor,
+    seed: int,
+    epochs: list[int],
+    keys: list[str],
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Copies of range [B, 1, H, W] and labels uint8 [B, H, W], transformed as drawn for (seed, epoch, key) of each.
 
-    roll_deg: largest rotation either way, degrees. zoom: the scale is drawn from 1 / (1 + zoom) to 1 + zoom.
-    stretch: the scale of the width is further multiplied, or divided, by up to 1 + stretch.
-    cut: share of the images of which one side, up to half of the height or width, is out of view.
-    bust: share of the images that show only the upper 35 to 80 % of the body's height, as of people at a desk or near
-    the camera. Raises BadConfig for a value out of range.
+    Values are taken from the nearest pixel, so that none is interpolated between two surfaces.
     """
-
-    roll_deg: float = bounded(0.0, 0, 180)
-    zoom: float = bounded(0.0, 0, 1)
-    stretch: float = bounded(0.0, 0, 1)
-    cut: float = bounded(0.0, 0, 1)
-    bust: float = bounded(0.0, 0, 1)
-
-    def __call__(
-        self, range_m: torch.Tensor, labels: torch.Tensor, seed: int, epochs: list[int], keys: list[str]
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Copies of range [B, 1, H, W] and labels uint8 [B, H, W], transformed as drawn for (seed, epoch, key) of each.
-
-        Values are taken from the nearest pixel, so that none is interpolated between two surfaces.
-        """
-        if self == GeometricAugmentation():
-            return range_m, labels
-        rows, columns = range_m.shape[2:]
-        maps, cuts, lowest = [], [], []
-        for epoch, key in zip(epochs, keys, strict=True):
-            roll, zoom, stretch, cut, side, share = (
-                Draws(seed, epoch, key).chance(f"placement {what}")
-                for what in ("roll", "zoom", "stretch", "cut", "side", "share")
-            )
-            angle = math.radians(self.roll_deg) * (2 * roll - 1)
-            down = (1 + self.zoom) ** (2 * zoom - 1)
-            across = down * (1 + self.stretch) ** (2 * stretch - 1)
-            maps.append(_source_map(angle, down, across, rows, columns))
-            cuts.append(_cut_side(int(4 * side), share / 2, rows, columns) if cut < self.cut else None)
-            bust = self.bust and Draws(seed, epoch, key).chance("placement bust")
-            lowest.append(0.35 + 0.45 * bust / self.bust if bust < self.bust else 1.0)
-        sources = torch.tensor(maps, dtype=torch.float32, device=range_m.device)
-        moved, named = _moved(range_m, labels, sources)
-        for image, place in enumerate(cuts):
-            if place is not None:
-                moved[image, 0][place] = 0
-                named[image][place] = BACKGROUND
-        for image, share in enumerate(lowest):
-            body = (named[image] != BACKGROUND).any(1).nonzero()
-            if share < 1 and len(body):
-                first, last = int(body[0]), int(body[-1])
-                below = slice(first + math.ceil(share * (last + 1 - first)), None)
-                moved[image, 0, below] = 0
-                named[image, below] = BACKGROUND
-        return moved, named
+    if ranges == GeometricAugmentation():
+        return range_m, labels
+    rows, columns = range_m.shape[2:]
+    maps, cuts, lowest = [], [], []
+    for epoch, key in zip(epochs, keys, strict=True):
+        roll, zoom, stretch, cut, side, share = (
+            Draws(seed, epoch, key).chance(f"placement {what}")
+            for what in ("roll", "zoom", "stretch", "cut", "side", "share")
+        )
+        angle = math.radians(ranges.roll_deg) * (2 * roll - 1)
+        down = (1 + ranges.zoom) ** (2 * zoom - 1)
+        across = down * (1 + ranges.stretch) ** (2 * stretch - 1)
+        maps.append(_source_map(angle, down, across, rows, columns))
+        cuts.append(_cut_side(int(4 * side), share / 2, rows, columns) if cut < ranges.cut else None)
+        bust = ranges.bust and Draws(seed, epoch, key).chance("placement bust")
+        lowest.append(0.35 + 0.45 * bust / ranges.bust if bust < ranges.bust else 1.0)
+    sources = torch.tensor(maps, dtype=torch.float32, device=range_m.device)
+    moved, named = _moved(range_m, labels, sources)
+    for image, place in enumerate(cuts):
+        if place is not None:
+            moved[image, 0][place] = 0
+            named[image][place] = BACKGROUND
+    for image, share in enumerate(lowest):
+        body = (named[image] != BACKGROUND).any(1).nonzero()
+        if share < 1 and len(body):
+            first, last = int(body[0]), int(body[-1])
+            below = slice(first + math.ceil(share * (last + 1 - first)), None)
+            moved[image, 0, below] = 0
+            named[image, below] = BACKGROUND
+    return moved, named
 
 
 def _moved(range_m: torch.Tensor, labels: torch.Tensor, maps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -159,7 +147,7 @@ def augmented(
         draws = mirror_draws(seed, epochs, keys).to(range_m.device)
         range_m, labels = mirror(range_m, labels, draws, mirrored_as)
         range_m[images:][draws[images:]] *= -1  # the numbers, if any
-    range_m, labels = geometric(range_m, labels, seed, epochs, keys)
+    range_m, labels = placed(geometric, range_m, labels, seed, epochs, keys)
     return range_m[:images], labels[:images], None if places is None else range_m[images:]
 
 

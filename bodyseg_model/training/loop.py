@@ -23,11 +23,11 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
-from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, check_class, reported
+from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, check_class, reported, signals_held
 from bodyseg_data.files import claimed, last_name
 from bodyseg_data.labels import PARTS33, TEMPLATE, UNLABELLED
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
-from bodyseg_data.machine import peak_mb, signals_held
+from bodyseg_data.machine import peak_mb
 from bodyseg_model.networks import (
     CardWords,
     Checkpoint,
@@ -45,9 +45,15 @@ from bodyseg_model.networks import (
 from bodyseg_model.training.augmentation import augmented, signed_numbers
 from bodyseg_model.training.distributed import ProcessGroup, joined_process_group
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
-from bodyseg_model.training.optimisers import fill_optimisers, make_optimisers, optimiser_tensors, set_learning_rate
+from bodyseg_model.training.optimisers import (
+    AveragedNetwork,
+    fill_optimisers,
+    make_optimisers,
+    optimiser_tensors,
+    set_learning_rate,
+)
 from bodyseg_model.training.plan import Best, RunFolder, training_plan
-from bodyseg_model.training.recipes import AveragedNetwork, Recipe, recipe_for
+from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWindow, Report, Validation
 
 
@@ -146,7 +152,7 @@ class RunOptions(Checked):
 class Training:
     """One training, from its first step or its last checkpoint to its end.
 
-    network: with its initial weights; name: its key in `registry.NETWORKS`. validation: by the first process alone
+    network: with its initial weights; name: its key in `names.NETWORKS`. validation: by the first process alone
     while the others wait. All else is as of `train`, which also says what raises BadConfig.
     """
 

@@ -43,7 +43,7 @@ def training_plan(
 ) -> dict[str, Any]:
     """Everything that a training's result depends on, as plain JSON: the same plan gives the same weights.
 
-    name: of the network in `registry.NETWORKS`. Keys: network, settings, variant, seed, recipe, rig (`Rig.to_json`) and
+    name: of the network in `names.NETWORKS`. Keys: network, settings, variant, seed, recipe, rig (`Rig.to_json`) and
     sensor (name and artifacts) of the images, of a mixture those of its first set, data (identity of the images),
     labels (`LabelMap.to_json`) where they are not the 33 parts; validation and pretrained where there is one.
     """

@@ -1,22 +1,33 @@
-"""Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network; and the
-exponential moving average (EMA) of a network's weights over the steps of a training.
-"""
+"""Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network."""
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-import torch
-
 from bodyseg_data.core import Checked, bounded, check_choice
-from bodyseg_model.networks import Network
-from bodyseg_model.training.augmentation import GeometricAugmentation
 
 OptimiserName = Literal["sgd", "adamw", "muon"]
+
+
+@dataclass(frozen=True)
+class GeometricAugmentation(Checked):
+    """Ranges of random rotation, zoom and cuts of the images of a training; 0 for none. For `Recipe`.
+
+    roll_deg: largest rotation either way, degrees. zoom: the scale is drawn from 1 / (1 + zoom) to 1 + zoom.
+    stretch: the scale of the width is further multiplied, or divided, by up to 1 + stretch.
+    cut: share of the images of which one side, up to half of the height or width, is out of view.
+    bust: share of the images that show only the upper 35 to 80 % of the body's height, as of people at a desk or near
+    the camera. Raises BadConfig for a value out of range.
+    """
+
+    roll_deg: float = bounded(0.0, 0, 180)
+    zoom: float = bounded(0.0, 0, 1)
+    stretch: float = bounded(0.0, 0, 1)
+    cut: float = bounded(0.0, 0, 1)
+    bust: float = bounded(0.0, 0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +50,7 @@ class Recipe(Checked):
     loss_stride: the loss selects one pixel of every square of so many pixels a side, or of the network's output stride
     where that is larger.
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
-    (`AveragedNetwork`); 0 for none.
+    (`optimisers.AveragedNetwork`); 0 for none.
     shuffle: order of the samples, "global" for a permutation of all or "blocks", which suits far stores (`loader`).
     only_places: whether only the head of places on the template is trained; all else of the network stays as it is, so
     that it labels with the same bits.
@@ -120,29 +131,3 @@ def recipe_for(name: str, **changes: Any) -> Recipe:
     """The preset of a name, some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name."""
     given = {field: value for field, value in changes.items() if value is not None}
     return dataclasses.replace(PRESETS[check_choice("the recipe", name, PRESETS)], **given)
-
-
-class AveragedNetwork:
-    """A network whose weights are the exponential moving average of another's (Polyak and Juditsky, 1992).
-
-    After step t, counted from 0, average = d average + (1 - d) weights with d = min(decay, (1 + t) / (10 + t)), so that
-    the first weights, which are random, are soon forgotten. The statistics of batch normalisation are averaged like the
-    weights (docs/how-to/training.md has the comparison); whole numbers are copied.
-
-    network: the averaged network, in evaluation mode. decay: the largest share that the average keeps in a step.
-    """
-
-    def __init__(self, network: Network, decay: float) -> None:
-        self.network = copy.deepcopy(network).eval().requires_grad_(False)
-        self.decay = decay
-
-    @torch.no_grad()
-    def update(self, network: Network, step: int) -> None:
-        """Take in the weights after step `step`, counted from 0. network: of the same shape as the averaged one."""
-        decay = min(self.decay, (1 + step) / (10 + step))
-        weights = network.state_dict()
-        for name, average in self.network.state_dict().items():
-            if average.is_floating_point():
-                average.lerp_(weights[name], 1 - decay)
-            else:
-                average.copy_(weights[name])

@@ -330,18 +330,6 @@ def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
 
 
-def test_an_interrupt_waits_until_a_command_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "imports_long.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\nwhole = True\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            cli.load_command("imports_long")
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert sys.modules.pop("imports_long").whole
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a background job of a script, which Ctrl-C is not meant for."""

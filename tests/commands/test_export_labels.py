@@ -18,7 +18,8 @@ from small_rig import SMALL
 from bodyseg_data import ColumnWriter, RangeImages, ShardWriter
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelClass, load_label_map
-from bodyseg_model.commands import cli, segment
+from bodyseg_model import runtimes
+from bodyseg_model.commands import cli
 from bodyseg_model.commands.export_labels import DENSE_POSE, LabelImage, compressed, segments
 from bodyseg_model.networks import Trained
 from bodyseg_model.runtimes import backends
@@ -224,7 +225,7 @@ def labelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: No
     """Frames, and the folder that `bodyseg segment` wrote of them: two people, and nobody."""
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
     trained = Trained(Places(axis=0, step=5), {"network": "places", "rig": SMALL.to_json()})
-    monkeypatch.setattr(segment, "load_network", lambda run, dense=False: trained)
+    monkeypatch.setattr(runtimes, "load_network", lambda run, dense=False: trained)
     frames = tmp_path / "frames"
     frames.mkdir()
     Image.fromarray(standing((10, 5, 40, 12), (10, 50, 40, 12))).save(frames / "1.png")

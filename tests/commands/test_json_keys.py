@@ -15,7 +15,8 @@ from label_networks import Places
 from PIL import Image
 from small_rig import SMALL
 
-from bodyseg_model.commands import cli, evaluate, segment
+from bodyseg_model import runtimes
+from bodyseg_model.commands import cli
 from bodyseg_model.networks import Trained, build
 from bodyseg_model.runtimes import backends
 
@@ -58,8 +59,8 @@ def check(title: str, trees: list[Any]) -> None:
 def network(monkeypatch: pytest.MonkeyPatch, near_is_person: None) -> None:
     card = {"network": "places", "settings": {}, "seed": 3, "variant": "all", "steps": 1, "rig": SMALL.to_json()}
     trained = Trained(Places(axis=0, step=5), {**card, "data": {}, "sensor": {}, "weights_sha256": "0"})
-    monkeypatch.setattr(segment, "load_network", lambda run, dense=False: trained)
-    monkeypatch.setattr(evaluate, "load_network", lambda run, checkpoint: Trained(trained.network, card))
+    scored = Trained(trained.network, card)  # by evaluate, which chooses a checkpoint
+    monkeypatch.setattr(runtimes, "load_network", lambda run, *chosen, dense=False: scored if chosen else trained)
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
 
 
@@ -88,7 +89,7 @@ def test_the_keys_of_a_summary_are_those_documented(tmp_path: Path, monkeypatch:
     for number, words in enumerate(runs):
         if number >= 2:
             network = (unsure, dense)[number - 2]
-            monkeypatch.setattr(segment, "load_network", lambda run, dense=False, network=network: network)
+            monkeypatch.setattr(runtimes, "load_network", lambda run, dense=False, network=network: network)
         out = tmp_path / str(number)
         assert cli.main(["segment", *map(str, words), "--out", str(out)]) == 0
         trees.append(json.loads((out / "summary.json").read_text()))

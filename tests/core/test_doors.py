@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import py_compile
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,16 +25,21 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from house.hall import Lamp as Lamp, switch
     from house.attic import box
+    from house.shed import whole
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)
 """
+
+
+HALL = "Lamp, switch = 'lamp', 'on'"
+SHED = "import signal\nsignal.raise_signal(signal.SIGINT)\nwhole = True\n"
 
 
 @pytest.fixture(params=["source", "bytecode"])
 def house(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     folder = tmp_path / "house"
     folder.mkdir()
-    files = {"__init__": DOOR, "hall": "Lamp, switch = 'lamp', 'on'", "attic": "raise RuntimeError('dust')"}
+    files = {"__init__": DOOR, "hall": HALL, "attic": "raise RuntimeError('dust')", "shed": SHED}
     for name, text in files.items():
         path = folder / f"{name}.py"
         path.write_text(text)
@@ -47,13 +53,25 @@ def house(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_names_are_those_imported_for_type_checkers_and_come_on_first_use(house: ModuleType) -> None:
-    assert house.__all__ == ["Lamp", "box", "switch"]
+    assert house.__all__ == ["Lamp", "box", "switch", "whole"]
     assert {"Lamp", "box", "switch", "__name__"} <= set(dir(house))
     assert "house.hall" not in sys.modules
     assert (house.Lamp, house.switch) == ("lamp", "on")
     assert "house.attic" not in sys.modules
     with pytest.raises(RuntimeError, match="dust"):
         house.box  # noqa: B018
+
+
+def test_an_interrupt_waits_until_a_file_is_imported(house: ModuleType) -> None:
+    """In a program that handles SIGTERM, as commands do."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            house.whole  # noqa: B018
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert sys.modules["house.shed"].whole and house.whole
 
 
 def test_other_names_are_refused(house: ModuleType) -> None:

@@ -18,8 +18,8 @@ from bodyseg_data.artifacts import sensor_model_names
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import EMPTY
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, colour_labels
+from bodyseg_model import runtimes
 from bodyseg_model.commands import cli
-from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import (
     Evaluation,
     SamplePicture,
@@ -523,6 +523,6 @@ def test_an_interrupted_evaluation_leaves_no_file(
 def test_without_a_run_the_network_that_ships_is_judged(
     figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command, "load_network", lambda run, checkpoint: load_network(run or run_folder, checkpoint))
+    monkeypatch.setattr(runtimes, "load_network", lambda run, checkpoint: load_network(run or run_folder, checkpoint))
     assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
     assert json.loads((tmp_path / "x.json").read_text())["run"] is None

@@ -13,7 +13,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
 from bodyseg_model.commands import main
 from bodyseg_model.networks import Network, Trained, build, load_network, predict, save_network
-from bodyseg_model.networks.registry import NETWORKS
+from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.training.augmentation import mirror
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 

@@ -22,7 +22,7 @@ from toy_network import Toy
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.networks import Network, build, network_class, predict, predict_each, registry
-from bodyseg_model.networks.registry import NETWORKS
+from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.training.loss import NetworkWithLoss
 from bodyseg_model.training.recipes import PRESETS
 
@@ -174,7 +174,7 @@ def test_a_new_network_is_one_new_file_and_one_line(
     copy = tmp_path / "bodyseg_model"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(HELPERS / "toy_network.py", copy / "networks" / "toy.py")
-    file, before = copy / "networks" / "registry.py", (PACKAGE / "networks" / "registry.py").read_text()
+    file, before = copy / "networks" / "names.py", (PACKAGE / "networks" / "names.py").read_text()
     line = '    "compact": "bodyseg_model.networks.compact.Compact",\n'
     assert before.count(line) == 1
     file.write_text(before.replace(line, line + '    "toy": "bodyseg_model.networks.toy.Toy",\n'))

@@ -23,6 +23,7 @@ from small_rig import SMALL
 
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES, PARTS33, LabelMap, load_label_map
 from bodyseg_data.rigs import load_sensor
+from bodyseg_model import runtimes
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import Skipping, find_frames
@@ -64,7 +65,7 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
     places = Places(axis=0, step=5)
     card = {"network": "places", "seed": 3, "rig": SMALL.to_json()}
     monkeypatch.setattr(
-        segment, "load_network", lambda run, dense=False: load_network(run) if run else Trained(places, card)
+        runtimes, "load_network", lambda run, dense=False: load_network(run) if run else Trained(places, card)
     )
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -525,7 +526,7 @@ def test_what_the_network_doubts_is_a_thing(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     unsure = Trained(Places(0, 5, sure_m=0.1), {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9})
-    monkeypatch.setattr(segment, "load_network", lambda run, dense=False: unsure)
+    monkeypatch.setattr(runtimes, "load_network", lambda run, dense=False: unsure)
     assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
     facts = report(tmp_path / "out")
     assert facts["finder"] == {"weights_sha256": "1", "least_confidence_of_people": 0.9}
@@ -547,7 +548,7 @@ def test_people_are_found_whatever_classes_a_network_has(
     turned_round = LabelMap("turned round", tuple((name, (name,)) for name in reversed(LANDMARKS)))
     card = {"labels": turned_round.to_json(), "rig": SMALL.to_json()}
     monkeypatch.setattr(
-        segment, "load_network", lambda run, dense=False: load_network(run) if run else Trained(network, card)
+        runtimes, "load_network", lambda run, dense=False: load_network(run) if run else Trained(network, card)
     )
     assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
     assert report(tmp_path / "out")["people"] == 5

@@ -19,7 +19,8 @@ from PIL import Image
 
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_model.commands import cli, segment
+from bodyseg_model import runtimes
+from bodyseg_model.commands import cli
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings.bag_messages import typestore
 from bodyseg_model.runtimes import load_network
@@ -39,7 +40,7 @@ STACK = np.stack([standing(2 * number) for number in range(7, 12)])
 def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     places = Places(axis=0, step=20)
     monkeypatch.setattr(
-        segment,
+        runtimes,
         "load_network",
         lambda run, dense=False: load_network(run) if run else Trained(places, {"network": "places", "seed": 3}),
     )

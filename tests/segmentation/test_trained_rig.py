@@ -14,7 +14,8 @@ from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.rigs import load_rig, rig_from_json
-from bodyseg_model.commands import cli, segment
+from bodyseg_model import runtimes
+from bodyseg_model.commands import cli
 from bodyseg_model.evaluation import ConfusionMatrix
 from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import frame_camera
@@ -86,7 +87,7 @@ def test_bodies_nearer_than_those_trained_on_are_told(
     steps: int, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        segment,
+        runtimes,
         "load_network",
         lambda run, dense=False: load_network(run) if run else Trained(Places(0, 10), {"rig": SMALL.to_json()}),
     )

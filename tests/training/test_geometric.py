@@ -11,7 +11,7 @@ from kernel_forms import by_both
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.training import GeometricAugmentation
-from bodyseg_model.training.augmentation import _moved, _source_map
+from bodyseg_model.training.augmentation import _moved, _source_map, placed
 
 KEYS = [f"body-{number}" for number in range(60)]
 EPOCHS = [0] * len(KEYS)
@@ -29,14 +29,16 @@ def bodies(rows: int = 60, columns: int = 40) -> tuple[torch.Tensor, torch.Tenso
 
 def test_no_placement_leaves_a_batch_alone() -> None:
     range_m, labels = bodies()
-    seen, named = GeometricAugmentation()(range_m, labels, 0, EPOCHS, KEYS)
+    seen, named = placed(GeometricAugmentation(), range_m, labels, 0, EPOCHS, KEYS)
     assert seen is range_m
     assert named is labels
 
 
 def test_range_and_label_of_a_pixel_stay_together_and_none_is_made_up() -> None:
     range_m, labels = bodies()
-    seen, named = GeometricAugmentation(roll_deg=30, zoom=0.3, stretch=0.2, cut=0.5)(range_m, labels, 1, EPOCHS, KEYS)
+    seen, named = placed(
+        GeometricAugmentation(roll_deg=30, zoom=0.3, stretch=0.2, cut=0.5), range_m, labels, 1, EPOCHS, KEYS
+    )
     assert named.dtype == torch.uint8
     assert torch.equal(named == 255, seen[:, 0] == 0)
     body = named != 255
@@ -47,7 +49,7 @@ def test_sizes_stay_within_what_was_asked_for() -> None:
     range_m = torch.zeros(len(KEYS), 1, 240, 160)
     range_m[:, :, 80:160, 48:112] = 2
     labels = torch.where(range_m[:, 0] > 0, 0, 255).to(torch.uint8)
-    seen, _ = GeometricAugmentation(zoom=0.25, stretch=0.3)(range_m, labels, 2, EPOCHS, KEYS)
+    seen, _ = placed(GeometricAugmentation(zoom=0.25, stretch=0.3), range_m, labels, 2, EPOCHS, KEYS)
     heights = (seen[:, 0] > 0).any(2).sum(1) / 80
     widths = (seen[:, 0] > 0).any(1).sum(1) / 64
     for sizes, most in ((heights, 1.25), (widths / heights, 1.3)):
@@ -59,7 +61,7 @@ def test_sizes_stay_within_what_was_asked_for() -> None:
 def test_a_turn_keeps_lengths() -> None:
     """In an image that is not square, too: the block stays as large, and its longest diagonal as long."""
     range_m, labels = bodies()
-    seen, _ = GeometricAugmentation(roll_deg=40)(range_m, labels, 3, EPOCHS, KEYS)
+    seen, _ = placed(GeometricAugmentation(roll_deg=40), range_m, labels, 3, EPOCHS, KEYS)
     areas = (seen[:, 0] > 0).sum((1, 2)) / (20 * 16)
     assert (areas - 1).abs().max() < 0.04
     for image in seen[:10, 0]:
@@ -73,7 +75,7 @@ def test_a_turn_keeps_lengths() -> None:
 
 def test_a_bust_keeps_the_upper_part_of_the_body() -> None:
     range_m, labels = bodies()
-    seen, named = GeometricAugmentation(bust=0.5)(range_m, labels, 5, EPOCHS, KEYS)
+    seen, named = placed(GeometricAugmentation(bust=0.5), range_m, labels, 5, EPOCHS, KEYS)
     heights = (seen[:, 0] > 0).any(2).sum(1)
     assert torch.equal(named == 255, seen[:, 0] == 0)
     assert 0.3 < (heights < 20).float().mean() < 0.7
@@ -81,12 +83,12 @@ def test_a_bust_keeps_the_upper_part_of_the_body() -> None:
     assert heights[heights < 20].max() <= 16
     assert (seen[:, 0, 20] > 0).any(1).all()
     empty = torch.zeros_like(range_m), torch.full_like(labels, 255)
-    assert torch.equal(GeometricAugmentation(bust=1.0)(*empty, 5, EPOCHS, KEYS)[1], empty[1])
+    assert torch.equal(placed(GeometricAugmentation(bust=1.0), *empty, 5, EPOCHS, KEYS)[1], empty[1])
 
 
 def test_a_cut_hides_one_side_at_most_half_way() -> None:
     range_m, labels = torch.full((60, 1, 20, 20), 2.0), torch.zeros(60, 20, 20, dtype=torch.uint8)
-    seen, _ = GeometricAugmentation(cut=1.0)(range_m, labels, 4, EPOCHS, KEYS)
+    seen, _ = placed(GeometricAugmentation(cut=1.0), range_m, labels, 4, EPOCHS, KEYS)
     sides = set()
     for image in seen[:, 0] > 0:
         hidden = torch.nonzero(~image)
@@ -105,11 +107,11 @@ def test_a_cut_hides_one_side_at_most_half_way() -> None:
 def test_draws_belong_to_samples() -> None:
     range_m, labels = bodies()
     move = GeometricAugmentation(roll_deg=20, zoom=0.2)
-    seen, _ = move(range_m, labels, 5, EPOCHS, KEYS)
-    backwards, _ = move(range_m, labels, 5, EPOCHS, KEYS[::-1])
+    seen, _ = placed(move, range_m, labels, 5, EPOCHS, KEYS)
+    backwards, _ = placed(move, range_m, labels, 5, EPOCHS, KEYS[::-1])
     assert torch.equal(backwards, seen.flip(0))
-    assert not torch.equal(move(range_m, labels, 5, [1] * 60, KEYS)[0], seen)
-    assert not torch.equal(move(range_m, labels, 6, EPOCHS, KEYS)[0], seen)
+    assert not torch.equal(placed(move, range_m, labels, 5, [1] * 60, KEYS)[0], seen)
+    assert not torch.equal(placed(move, range_m, labels, 6, EPOCHS, KEYS)[0], seen)
 
 
 @pytest.mark.parametrize(("name", "value"), [("roll_deg", -1), ("zoom", 1.5), ("stretch", math.nan), ("cut", 2)])
@@ -141,5 +143,5 @@ def test_pixels_are_taken_from_where_torchs_sampler_takes_them() -> None:
 def test_both_forms_have_the_same_bits() -> None:
     range_m, labels = bodies(61, 47)
     move = GeometricAugmentation(roll_deg=40, zoom=0.3, stretch=0.2, cut=0.3)
-    loops, plain = by_both(lambda: move(range_m, labels, 7, EPOCHS, KEYS))
+    loops, plain = by_both(lambda: placed(move, range_m, labels, 7, EPOCHS, KEYS))
     assert torch.equal(loops[0], plain[0]) and torch.equal(loops[1], plain[1])

@@ -27,7 +27,7 @@ from small_rig import SMALL
 
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.rigs import Camera
-from bodyseg_model.commands import segment
+from bodyseg_model import runtimes
 from bodyseg_model.networks import Trained
 from bodyseg_model.runtimes import load_network
 
@@ -91,7 +91,7 @@ def test_the_bench_runs_every_way_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: None
 ) -> None:
     trained = Trained(Places(axis=0, step=5), {"network": "places", "rig": SMALL.to_json()})
-    monkeypatch.setattr(segment, "load_network", lambda run, dense=False: load_network(run) if run else trained)
+    monkeypatch.setattr(runtimes, "load_network", lambda run, dense=False: load_network(run) if run else trained)
     monkeypatch.setattr(bench, "load_network", lambda: trained)
     monkeypatch.setattr(bench, "made_rooms", lambda camera, count: [made(camera)] * count)
     ways_by_torch = {name: way for name, way in WAYS.items() if "backend" not in way.options}

@@ -20,10 +20,11 @@ from torch import nn
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.labels import PART_COUNT
-from bodyseg_model.commands import main, train
+from bodyseg_model import networks
+from bodyseg_model.commands import main
 from bodyseg_model.networks import Network, check_range_images
+from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.networks.network import check_classes, relief_of, shrunk
-from bodyseg_model.networks.registry import NETWORKS
 
 BASELINES: Final = {
     "segformer": "benches.model.networks.baselines.Segformer",
@@ -37,13 +38,13 @@ _INPUTS: Final = 2
 @contextlib.contextmanager
 def with_baselines() -> Iterator[None]:
     """Add the baselines to `NETWORKS` while the block runs, and to the names that `bodyseg train --network` takes."""
-    before = train.NetworkName
+    before = networks.NetworkName
     NETWORKS.update(BASELINES)
-    vars(train)["NetworkName"] = Literal[tuple(NETWORKS)]  # the command line reads it when it runs
+    vars(networks)["NetworkName"] = Literal[tuple(NETWORKS)]  # the command line reads it when it runs
     try:
         yield
     finally:
-        vars(train)["NetworkName"] = before
+        vars(networks)["NetworkName"] = before
         for name in BASELINES:
             del NETWORKS[name]
 

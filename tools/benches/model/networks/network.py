@@ -33,7 +33,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silen
 from bodyseg_data.files import read_json
 from bodyseg_data.machine import processors
 from bodyseg_model.networks import SHIPPED, Network, build, load_network
-from bodyseg_model.networks.registry import NETWORKS
+from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.runtimes import on_backend
 
 REFERENCE: Final = "compact"

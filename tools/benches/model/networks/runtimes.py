@@ -28,8 +28,7 @@ from bodyseg_data.machine import processors, torch_threads
 from bodyseg_model.evaluation import evaluate, open_images
 from bodyseg_model.networks import Network, Trained, build, predict
 from bodyseg_model.runtimes import Precision, load_network, on_backend, write_onnx
-from bodyseg_model.runtimes.backends import TORCH
-from bodyseg_model.runtimes.libraries import RANGE
+from bodyseg_model.runtimes.libraries import RANGE, TORCH
 
 REFERENCE: Final = "torch float32"
 PAPERS: Final = "fcn_alexnet torch float32"
