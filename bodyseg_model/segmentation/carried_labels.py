@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -29,7 +29,6 @@ Middle = NDArray[np.float64]
 Rigid = NDArray[np.float64]
 """A rigid motion, [3, 4]: rotation and, last, translation, metres."""
 
-MotionModel = Literal["still", "rigid", "parts"]
 SAME_BODY_M: Final = 0.5
 """Bodies of two frames are one if their middles are nearer, metres: 12 m/s at 25 frames a second."""
 
@@ -60,18 +59,16 @@ _BENDS: Final = 1.5  # gain from which on a body bends
 class Carrying:
     """Parameters of `CarriedLabels`; docs/how-to/steady.md has their effect.
 
-    motion: "parts" follows the parts of a body, "rigid" the body as a whole, "still" nothing: evidence stays at its
-    pixel. keep: share of the evidence that is left after a frame, 0 to less than 1; bending_keep: of a body that bends,
-    as the place of its points is less certain. margin: of a body that does not bend, evidence by which another label
-    must exceed the one shown, in frames of confidence 1. border, border_share: of a body that bends, evidence for the
-    label shown is multiplied by border_share where the new one is shown up to `border` pixels away: borders are where a
-    wrong motion does harm. stiff_border, stiff_border_share: the same of a body that does not bend.
+    keep: share of the evidence that is left after a frame, 0 to less than 1; bending_keep: of a body that bends, as the
+    place of its points is less certain. margin: of a body that does not bend, evidence by which another label must
+    exceed the one shown, in frames of confidence 1. border, border_share: of a body that bends, evidence for the label
+    shown is multiplied by border_share where the new one is shown up to `border` pixels away: borders are where a wrong
+    motion does harm. stiff_border, stiff_border_share: the same of a body that does not bend.
     tolerance_m, noises: a point is the same if ranges agree within tolerance_m or `noises` standard deviations of the
     ranges' noise, whichever is more. reach: pixels around the expected place at which it is sought. cell_m: side of the
     cells in which motion is estimated, metres.
     """
 
-    motion: MotionModel = "parts"
     keep: float = 0.9
     bending_keep: float = 0.8
     margin: float = 0.25
@@ -210,8 +207,7 @@ class CarriedLabels:
             old, rule = new, self._rule(_NOWHERE)
             if last is not None and number is not None:
                 earlier, before, gain = last.bodies[number]
-                if self.carrying.motion != "still":
-                    rigid, field, gain = self._motion(own, earlier, gain, before, (before.side / lens.side) ** 2)
+                rigid, field, gain = self._motion(own, earlier, gain, before, (before.side / lens.side) ** 2)
                 noise = float(np.hypot(own.noise_m, earlier.noise_m))
                 rule = self._rule(max(self.carrying.tolerance_m, self.carrying.noises * noise), gain > _BENDS)
                 old = last.images
@@ -279,19 +275,18 @@ class CarriedLabels:
         noise = max(own.noise_m, earlier.noise_m)
         gate = max(_GATE_M, _NOISES * noise)
         rigid = self._rigid(own, earlier, lens, gate)
-        places, field = moved(rigid, own.points), np.zeros_like(own.points)
-        if self.carrying.motion == "parts":
-            shifts, weights = part_shifts(places, own.labels, earlier, larger)
-            some = weights > 0
-            (away, same), (away_shifted, same_shifted) = (
-                self._fit(each[some], own.labels[some], earlier, lens, gate) for each in (places, places + shifts)
-            )
-            gain = _REMEMBERED * min(max(gain, -_MOST_GAIN), _MOST_GAIN)
-            gain += (away - away_shifted) / _FALL_M + (same_shifted - same) / _MORE
-            if gain <= _BENDS:
-                shifts[:], weights[:] = 0, 0
-            faith = np.float32(1 / (1 + (noise / _FAITH_NOISE_M) ** 2))
-            field = self._loops.smooth_field(places, own, shifts, weights, earlier, lens, np.float32(gate), faith)
+        places = moved(rigid, own.points)
+        shifts, weights = part_shifts(places, own.labels, earlier, larger)
+        some = weights > 0
+        (away, same), (away_shifted, same_shifted) = (
+            self._fit(each[some], own.labels[some], earlier, lens, gate) for each in (places, places + shifts)
+        )
+        gain = _REMEMBERED * min(max(gain, -_MOST_GAIN), _MOST_GAIN)
+        gain += (away - away_shifted) / _FALL_M + (same_shifted - same) / _MORE
+        if gain <= _BENDS:
+            shifts[:], weights[:] = 0, 0
+        faith = np.float32(1 / (1 + (noise / _FAITH_NOISE_M) ** 2))
+        field = self._loops.smooth_field(places, own, shifts, weights, earlier, lens, np.float32(gate), faith)
         return rigid.astype(np.float32), field, gain
 
     def _rigid(self, own: Cells, earlier: Cells, lens: CellLens, gate: float) -> Rigid:

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from benches.model.real.steady import RigidLabels, StillLabels
 from numpy.typing import NDArray
 
 from bodyseg_data.core import MissingLibrary
@@ -100,7 +101,7 @@ def test_flicker_of_a_still_body_goes() -> None:
     ids=["aside", "away", "turning"],
 )
 def test_labels_stay_on_the_surface_of_a_body_that_moves(at: Callable[[int], dict[str, float]]) -> None:
-    carried, still = CarriedLabels(Carrying(margin=0)), CarriedLabels(Carrying(motion="still", margin=0))
+    carried, still = CarriedLabels(Carrying(margin=0)), StillLabels(Carrying(margin=0))
     for frame in range(7):
         range_m, labels = pillar(**at(frame))
         # The network is right, then no longer sure of anything.
@@ -114,8 +115,7 @@ def test_labels_stay_on_the_surface_of_a_body_that_moves(at: Callable[[int], dic
 
 def test_a_part_that_moves_by_itself_takes_its_label_along() -> None:
     shown = {}
-    for motion in ("rigid", "parts"):
-        carried = CarriedLabels(Carrying(motion=motion))  # type: ignore[arg-type]
+    for motion, carried in (("rigid", RigidLabels()), ("parts", CarriedLabels())):
         for frame in range(5):
             range_m, labels = pillar(arm=-0.2 + 0.1 * frame)
             unsure = (labels == 20) & (repeated(labels, 0.3, frame) == 30) & (frame > 0)
@@ -267,11 +267,11 @@ def test_evidence_is_that_of_a_plain_count() -> None:
     range_m = np.zeros((120, 160), np.float32)
     range_m[20:80, 60:100] = 2.0
     pixels, draws = np.flatnonzero(range_m), np.random.default_rng(3)
-    rule = Carrying(motion="still")
+    rule = Carrying()
     frames = [
         (draws.integers(0, 12, (60, 40)).astype(np.uint8), draws.random((60, 40)).astype(np.float32)) for _ in range(9)
     ]
-    carried, found = CarriedLabels(rule), []
+    carried, found = StillLabels(rule), []
     for labels, confidence in frames:
         image = np.full(range_m.shape, BACKGROUND, np.uint8)
         image[20:80, 60:100] = labels
@@ -301,7 +301,7 @@ def test_labels_that_slide_along_a_board_are_followed() -> None:
     """Ranges of a flat board say nothing of a motion along it: only its labels show that parts move."""
     range_m = np.zeros((120, 160), np.float32)
     range_m[20:100, 30:130] = 2.0
-    followed, behind = CarriedLabels(), CarriedLabels(Carrying(motion="rigid", stiff_border=0))
+    followed, behind = CarriedLabels(), RigidLabels(Carrying(stiff_border=0))
     for frame in range(4):
         labels = np.where(range_m > 0, np.uint8(9), np.uint8(BACKGROUND))
         places = (22, 32 + 3 * frame), (22, 72 + 3 * frame), (62, 32 + 2 * frame), (62, 104 - 3 * frame)

@@ -174,7 +174,7 @@ def test_a_video_is_carried_along_within_each_recording(recording: Path, tmp_pat
     shutil.copytree(recording, again)
     assert run(recording, again, "--focal", "100", "--video", "--out", tmp_path / "out") == 0
     facts = report(tmp_path / "out")
-    assert facts["video"]["motion"] == "parts" and facts["ms"]["video"]["mean"] > 0
+    assert facts["video"]["keep"] == 0.9 and facts["ms"]["video"]["mean"] > 0
     first, second = (
         [pixels(file) for file in sorted((tmp_path / "out/labels").glob(f"{folder.name}/*.png"))]
         for folder in (recording, again)

@@ -13,13 +13,14 @@ from benches.model import chosen
 from benches.model.real import steady
 from benches.model.real.fusion import FusedSurface
 from benches.model.real.recording import Frame
-from benches.model.real.steady import ALONE, CARRIED_ALONG, WAYS, changes, labelled, point_labels, ratio_of, table
+from benches.model.real.steady import ALONE, WAYS, changes, labelled, point_labels, ratio_of, table
 from label_networks import Places
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, PlacedCamera, load_rig
 from bodyseg_model.networks import Trained
+from bodyseg_model.segmentation.carried_labels import Carrying
 
 LENS = Camera(60, 80, 90.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 AWAY_M = 1.1
@@ -111,7 +112,7 @@ def test_the_bench_joins_both(monkeypatch: pytest.MonkeyPatch) -> None:
     found = steady.bench_steady("folder/made", 5, progress=lambda *numbers: done.append(numbers))
     assert done == [(500, 1000), (750, 1000), (1000, 1000)]
     assert found["still"]["recording"] == "made" and found["moving"]["ways"]["none"]["ratio"] == 0.889
-    assert len(found["tables"]["steady"]) == len(WAYS) and found["carrying"] == asdict(WAYS[CARRIED_ALONG])
+    assert len(found["tables"]["steady"]) == len(WAYS) and found["carrying"] == asdict(Carrying())
     json.dumps(found)
     with pytest.raises(BadConfig, match="the number of frames must be"):
         steady.bench_steady("folder/made", 1)

@@ -27,16 +27,32 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Trained
 from bodyseg_model.segmentation import CarriedLabels, Segmenter
-from bodyseg_model.segmentation.carried_labels import Carrying
+from bodyseg_model.segmentation.carried_labels import Carrying, Cells, Floats
 
 ALONE: Final = "alone"
 CARRIED_ALONG: Final = "parts"
 
-WAYS: Final[Mapping[str, Carrying | None]] = {
+
+class StillLabels(CarriedLabels):
+    """Evidence stays at its pixel."""
+
+    def _motion(self, own: Cells, earlier: Cells, gain: float, *others: Any) -> tuple[Floats, Floats, float]:
+        return np.eye(3, 4, dtype=np.float32), np.zeros_like(own.points), gain
+
+
+class RigidLabels(CarriedLabels):
+    """Evidence follows the body as a whole, none of its parts."""
+
+    def _motion(self, own: Cells, earlier: Cells, gain: float, *others: Any) -> tuple[Floats, Floats, float]:
+        rigid, _, _ = super()._motion(own, earlier, gain, *others)
+        return rigid, np.zeros_like(own.points), gain
+
+
+WAYS: Final[Mapping[str, type[CarriedLabels] | None]] = {
     ALONE: None,
-    "still": Carrying(motion="still"),
-    "rigid": Carrying(motion="rigid"),
-    CARRIED_ALONG: Carrying(),
+    "still": StillLabels,
+    "rigid": RigidLabels,
+    CARRIED_ALONG: CarriedLabels,
 }
 """Name -> how labels of earlier frames are carried along; None: not at all. The last is that of `--video`."""
 
@@ -134,7 +150,7 @@ def labelled(
     mirrored: frames show left for right; answers are then turned over, as the frames of the surface are.
     """
     segment = Segmenter(trained.network, frames[0].placed.camera, PEOPLE, mirrored=mirrored, rig=trained.rig)
-    videos = {way: None if carrying is None else CarriedLabels(carrying) for way, carrying in WAYS.items()}
+    videos = {way: None if kind is None else kind() for way, kind in WAYS.items()}
     answers: dict[str, list[Answer]] = {way: [] for way in WAYS}
     for done, frame in enumerate(frames, start=1):
         found = segment(frame.range_m)
