@@ -323,14 +323,14 @@ def test_one_command_at_a_time_uses_a_work_folder(shop: Workshop) -> None:
     work.mkdir()
     with (work / ".lock").open("ab") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(BadConfig, match=f"another tools/bench all runs in {work}"):
+        with pytest.raises(BadConfig, match=f"another tools/bench all is at work in {work}"):
             shop.run()
         assert shop.run(list=True) == 1, "which a list does not need"
 
 
 def test_folders_that_do_not_fit_are_one_line(shop: Workshop) -> None:
     (shop.home / "work").touch()
-    with pytest.raises(BadConfig, match="cannot use the work folder .*: "):
+    with pytest.raises(BadConfig, match="cannot make the folder .*: "):
         shop.run()
     with pytest.raises(BadConfig, match="--jobs must be"):
         shop.run(jobs=0)

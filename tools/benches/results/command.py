@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -19,6 +18,7 @@ from benches.results.step import Graph, Places
 from benches.results.survey import Status, Survey, accept
 from bodyseg_data.commands import option, provenance
 from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.files import claimed
 
 EXAMPLE = "tools/bench all --work ../work --data ../data --jobs 2"
 
@@ -58,7 +58,7 @@ def run_graph(options: Options, graph: Graph, code: Callable[[tuple[str, ...]], 
     places = Places(work, data, options.results.absolute())
     with contextlib.ExitStack() as stack:
         if not options.list:
-            stack.enter_context(_locked(work))
+            stack.enter_context(claimed(work, "tools/bench all"))
         records = Records(graph, places)
         survey = Survey(graph, places, records) if code is None else Survey(graph, places, records, code)
         if options.accept:
@@ -109,21 +109,6 @@ def _chosen(graph: Graph, patterns: tuple[str, ...]) -> list[str]:
         if not any(fnmatchcase(name, pattern) for name in graph.steps):
             raise BadConfig(f"--only {pattern} matches no step; --list prints their names")
     return [name for name in graph.steps if not patterns or any(fnmatchcase(name, each) for each in patterns)]
-
-
-@contextlib.contextmanager
-def _locked(work: Path) -> Iterator[None]:
-    """Hold the work folder; the system releases it if this process is killed."""
-    with contextlib.ExitStack() as stack:
-        try:
-            work.mkdir(parents=True, exist_ok=True)
-            lock = stack.enter_context((work / ".lock").open("ab"))
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise BadConfig(f"another tools/bench all runs in {work}") from None
-        except OSError as error:
-            raise BadConfig(f"cannot use the work folder {work}: {error.strerror or error}") from error
-        yield
 
 
 def _say(line: str) -> None:
