@@ -129,10 +129,14 @@ def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
         write_atomically(path, data, flushed)
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder and those above it, unless they are there. Raises BadConfig, naming it, if that fails."""
+def make_folder(path: Path) -> list[Path]:
+    """Make a folder and those above it, unless they are there; returns those made, inner ones first. Raises BadConfig,
+    naming the folder, if that fails.
+    """
     with reported(f"cannot make the folder {path}", BadConfig, OSError):
+        made = [each for each in (path, *path.parents) if not each.exists()]
         path.mkdir(parents=True, exist_ok=True)
+    return made
 
 
 def cache_folder() -> Path:
@@ -146,11 +150,12 @@ def cache_folder() -> Path:
 
 @contextlib.contextmanager
 def claimed(folder: Path, work: str) -> Iterator[None]:
-    """Hold a folder, made if it is not there, against others who claim it while the context lasts.
+    """Hold a folder, made if it is not there, against others who claim it while the context lasts. One that was made,
+    and holds nothing at the end, is removed again: what is refused leaves no trace.
 
     work: what another one does then, for the message. Raises BadConfig if the folder is held, or cannot be written.
     """
-    make_folder(folder)
+    made = make_folder(folder)
     path = folder / _LOCK
     try:
         handle = _locked(path)
@@ -163,6 +168,9 @@ def claimed(folder: Path, work: str) -> Iterator[None]:
     finally:
         path.unlink(missing_ok=True)
         os.close(handle)
+        with contextlib.suppress(OSError):  # it holds something
+            for each in made:
+                each.rmdir()
 
 
 def _locked(path: Path) -> int:

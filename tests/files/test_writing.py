@@ -91,9 +91,10 @@ def test_a_folder_is_held_by_one(tmp_path: Path) -> None:
         assert "\n" not in str(raised.value)
         with claimed(tmp_path / "other", "training"):
             pass
-    assert not list(folder.iterdir())
+    assert not list(tmp_path.iterdir()), "folders that were made go when nothing is in them"
     with claimed(folder, "training"):
-        pass
+        (folder / "log.jsonl").touch()
+    assert [each.name for each in folder.iterdir()] == ["log.jsonl"]
 
 
 def test_what_a_killed_process_leaves_holds_nobody_up(tmp_path: Path) -> None:
