@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.commands import option
+from bodyseg_data.commands import check_target, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json, write_json
 from bodyseg_model import networks, runtimes
@@ -31,9 +31,11 @@ def run(options: Options) -> int:
     """Write the network, its filters in 16 bits, and the card; and the ONNX file."""
     if options.out is None and options.onnx is None:
         raise BadConfig("give the file to write: --out FILE.safetensors or --onnx FILE.onnx")
-    for name, path, suffix in (("out", options.out, ".safetensors"), ("onnx", options.onnx, runtimes.SUFFIX)):
+    for flag, path, suffix in (("--out", options.out, ".safetensors"), ("--onnx", options.onnx, runtimes.SUFFIX)):
         if path is not None and path.suffix != suffix:
-            raise BadConfig(f"--{name} must be a {suffix} file, found {path}")
+            raise BadConfig(f"{flag} must be a {suffix} file, found {path}")
+        if path is not None:
+            check_target(path, flag)
     trained = networks.load_network(options.run)
     scores, confusion = dict[str, Any](), None
     if options.scores is not None:

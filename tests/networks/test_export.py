@@ -47,7 +47,10 @@ def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "other.json").write_text('{"card": {"weights_sha256": "of another network"}}')
     for words, message in (
         (["--out", str(tmp_path / "x.pth")], "--out must be a .safetensors file"),
-        (["--out", str(tmp_path / "absent" / "x.safetensors")], "cannot write"),
+        (
+            ["--onnx", str(tmp_path / "x.onnx"), "--out", str(tmp_path / "absent" / "x.safetensors")],
+            "--out needs a file in a folder that is there",
+        ),
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "bad.json")], "must hold a JSON object"),
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "other.json")], "--scores must be what"),
         (["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")], "a network is compact or large"),
@@ -56,6 +59,7 @@ def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.Capt
         said = capsys.readouterr().err
         assert message in said
         assert said.count("\n") == 1
+        assert not list(tmp_path.glob("x.*"))
     assert not json.loads((run / "network.json").read_text()).get("scores")
 
 

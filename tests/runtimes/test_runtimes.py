@@ -329,7 +329,7 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
     for words, message in (
         (["export"], "give the file to write"),
         (["export", "--onnx", "x.pb"], "--onnx must be a .onnx file"),
-        (["export", "--run", str(run), "--onnx", str(tmp_path / "absent" / "x.onnx")], "cannot write"),
+        (["export", "--run", str(run), "--onnx", str(tmp_path / "absent" / "x.onnx")], "--onnx needs a file in"),
         (["evaluate", "--run", str(tmp_path / "bad.onnx"), *to], "is not a whole ONNX file"),
         (["evaluate", "--run", str(tmp_path / "bare.onnx"), *to], "the format must be 'bodyseg onnx 1', found None"),
         (["evaluate", "--run", str(tmp_path / "odd.onnx"), *to], "its metadata must describe the graph"),
