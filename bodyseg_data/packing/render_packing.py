@@ -48,6 +48,8 @@ def pack_renders(
     processor). Renders of finished shards are not read again: BadConfig where they, or what set.toml says, were others.
     Raises BadSample for the first render that breaks a rule, and as `ShardWriter`.
     """
+    if projector == "none":
+        source.leave_out_projector()
     keys = source.keys()
     checked = frozenset(keys[:_CHECKED])
 
@@ -57,8 +59,6 @@ def pack_renders(
             check_plausible(render, source.rigs[render.rig], key)
         given = dict(vars(render))
         del given["key"]
-        if projector == "none":
-            given["projector_range_m"] = None
         return given
 
     with ShardWriter(

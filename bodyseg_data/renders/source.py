@@ -77,7 +77,7 @@ class RenderSource(ABC):
         classes: Classes | None = None,
         rigs: Mapping[str, Rig] | None = None,
     ) -> None:
-        self._content, self._rows, self._files = content, rows, files
+        self._content, self._rows, self._files = content, rows, dict(files)
         self._said = repr(replace(content, path=Path(), rigs={}))
         for found in files.values():
             _check_partners(files[RANGE], found)
@@ -111,6 +111,10 @@ class RenderSource(ABC):
     def keys(self) -> Sequence[str]:
         """Return the keys of all renders, in their order."""
         return self._keys
+
+    def leave_out_projector(self) -> None:
+        """Read no images of the projector from now on."""
+        self._files.pop(PROJECTOR, None)
 
     def split(self, key: str) -> Split:
         """Return the split of one of `keys()`, without reading its images."""

@@ -358,3 +358,10 @@ def test_a_set_without_the_projectors_images_is_one_too(tmp_path: Path) -> None:
         path.unlink()
     (folder / "projector").rmdir()
     assert packed(folder, variant="none").manifest.projector == "none"
+
+
+def test_images_of_the_projector_that_are_not_stored_are_not_read(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell")
+    for path in (folder / "projector").iterdir():
+        path.write_bytes(b"damaged")
+    assert packed(folder, "--projector", "none", variant="none").manifest.projector == "none"
