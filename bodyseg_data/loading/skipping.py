@@ -87,8 +87,9 @@ def checked_budget(on_error: str, budget: float | None, samples: int) -> int | N
         raise BadConfig(f"on_error='skip' and a skip_budget belong together, found {on_error!r} and {budget!r}")
     if budget is None:
         return None
-    if isinstance(budget, int | np.integer) and not isinstance(budget, bool) and budget >= 0:
-        return int(budget)
-    if isinstance(budget, float | np.floating) and 0 <= budget < 1:
-        return int(budget * samples * (1 + 1e-12))  # 29 for 0.29 of 100, which is 28.999... as a float
+    if isinstance(budget, int | float | np.integer | np.floating) and not isinstance(budget, bool):
+        if 0 <= budget < 1:
+            return int(budget * samples * (1 + 1e-12))  # 29 for 0.29 of 100, which is 28.999... as a float
+        if budget >= 1 and float(budget).is_integer():
+            return int(budget)
     raise BadConfig(f"skip_budget must be a number of samples, or a share below 1, found {budget!r}")

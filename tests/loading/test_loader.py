@@ -265,7 +265,7 @@ def test_bad_options_are_refused(figures_set: Path) -> None:
         ({"on_error": "skip"}, "skip_budget .*found 'skip' and None"),
         ({"skip_budget": 1}, "belong together, found 'stop' and 1"),
         ({"on_error": "skip", "skip_budget": -1}, "skip_budget must be a number of samples, or a share"),
-        ({"on_error": "skip", "skip_budget": 1.0}, "a share below 1, found 1.0"),
+        ({"on_error": "skip", "skip_budget": float("inf")}, "a share below 1, found inf"),
         ({"on_error": "skip", "skip_budget": True}, "a share below 1, found True"),
         ({"prefetch_factor": 0}, "prefetch_factor .*found 0"),
         ({"start_method": "thread"}, "start_method .*found 'thread'"),

@@ -75,6 +75,12 @@ def test_a_batch_of_bad_samples_is_empty_not_gone(spoil: Callable[..., RangeImag
         list(loader(images, 2, on_error="skip", skip_budget=0.24))
 
 
+@pytest.mark.parametrize("budget", [3, 3.0, np.int64(3), np.float32(3)])
+def test_a_whole_number_of_samples_may_be_of_any_type(budget: Any) -> None:
+    """As `OnFaults` takes it: a share is below 1."""
+    assert checked_budget("skip", budget, 10) == 3
+
+
 def test_a_share_of_samples_is_cut_as_its_decimals_say() -> None:
     for samples in (100, 200, 1000, 7_000_000):
         for hundredths in range(1, 100):
