@@ -77,7 +77,11 @@ class Options:
     no_overlay: bool = option(
         "write labels, persons and summary alone: no overlay, preview.gif, legend.png", False, heading="Output"
     )
-    skip_unreadable: int = option("skip up to this many frames that cannot be read; summary.json lists them", 0)
+    skip_unreadable: int = option(
+        "skip up to this many frames that cannot be read, or recordings that cannot be opened (exit status 1); "
+        "summary.json lists them",
+        0,
+    )
     fps: float = option("frames a second of preview.gif, and of --labels-out where frames have no times", 10.0)
     ahead: bool = option("find the people of the next frame while this one is labelled", False, heading="Machine")
     threads: int | None = option(runtimes.THREADS_HELP, None)
@@ -97,7 +101,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     trained = runtimes.load_network(options.run, dense=options.dense)
     mode = options.background or segmentation.Background.usual(trained.label_map).mode
     background = segmentation.Background.of_options(mode, options.near, options.far)
-    frames = find_frames(options.frames, options.topic, step_m)
+    frames = find_frames(options.frames, options.topic, step_m, options.skip_unreadable)
     labeller = segmentation.FrameLabeller(
         trained,
         background,
@@ -114,9 +118,8 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         dense=options.dense,
         labels=options.labels,
     )
-    animation = segmentation.Preview(
-        options.fps, labeller.label_map
-    )  # checks the rate, which labels without times have, too
+    # Checks the rate, which labels without times have, too.
+    animation = segmentation.Preview(options.fps, labeller.label_map)
     preview = None if options.no_overlay else animation
     recording = labeller.recording(
         frames,
@@ -180,8 +183,10 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         }
     )
     lines = _remarks(options, recording, results.summary, shadows, per_second)
+    unopened = [frame.where for frame in frames if not frame.source.opened]
+    lines += [f"skipped {frame['error']}" for frame in recording.skipped if frame["file"] in unopened]
     sys.stderr.write("".join(f"{line}\n" for line in lines))
-    return 0
+    return 1 if unopened else 0
 
 
 def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractContextManager[LabelsOut | None]:

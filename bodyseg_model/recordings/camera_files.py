@@ -54,7 +54,7 @@ class FrameCameras:
     rig, focal_px, centre_px, trained: as of `frame_camera`, for the camera of all frames: one of the first three is
     given, or none. common: the camera of those without their own, by the size of the first of them. first: camera of
     the first frame. bent: True if any camera has lens distortion. Raises BadConfig as `frame_camera` and
-    `cameras_beside`, and for a first frame that cannot be read or does not fit its own camera.
+    `cameras_beside`, where no frame can be read, and for a first one that does not fit its own camera.
     """
 
     def __init__(
@@ -70,8 +70,9 @@ class FrameCameras:
         beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
         self._own = {frame: own for frame, own in zip(frames, beside, strict=True) if own is not None}
         others = [frame for frame in frames if frame not in self._own]
-        first = first_readable(frames, skipping)
-        other = first_readable(others, skipping) if others else None
+        first, other = first_readable(frames, skipping), first_readable(others, skipping)
+        if first is None:
+            raise BadConfig(f"at least one frame must be readable, found none: {skipping.skipped[-1]['error']}")
         self.common = None
         if other is not None:
             self.common = frame_camera(other.read().shape, other.where, rig, focal_px, centre_px, trained)

@@ -19,7 +19,7 @@ from bodyseg_data.core import BadConfig, check_int, reported
 from bodyseg_data.files import natural_key, refuse_special
 from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
-from bodyseg_model.recordings.recording import MILLIMETRE, Frame, FrameSource, Pixels, check_pixels
+from bodyseg_model.recordings.recording import MILLIMETRE, Frame, FrameSource, Pixels, Unopened, check_pixels
 
 _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 
@@ -43,16 +43,20 @@ _STEPS_M: Final = (1e-6, 0.1)
 _SATURATED: Final = 65535
 
 
-def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float | None = None) -> list[Frame]:
+def find_frames(
+    paths: Sequence[Path], topic: str | None = None, step_m: float | None = None, skip: int = 0
+) -> list[Frame]:
     """List the frames at `paths`, as `open_recording` opens them.
 
     Files of one frame come first, as one input in natural order of folders and names (2 before 10), then recordings one
     after another. A frame is named after its file, or its number in its recording; where two frames would have one
-    name, all are named with their folders or recordings (`result_names`). topic, step_m: as of `open_recording`. Raises
-    BadConfig for a path that cannot be read or contains no frame, a name unfit for a result file, or one frame given
-    twice; MissingLibrary.
+    name, all are named with their folders or recordings (`result_names`). topic, step_m: as of `open_recording`. skip:
+    the most recordings that may be there and not open; each is a frame that cannot be read. Raises BadConfig for a
+    path that cannot be read or contains no frame, a name unfit for a result file, or one frame given twice;
+    MissingLibrary.
     """
-    opened = [(path.is_dir(), open_recording(path, topic, step_m)) for path in paths]
+    skipping = Skipping(skip)
+    opened = [(path.is_dir(), _opened(path, topic, step_m, skipping.budget > 0)) for path in paths]
     single = [found[0] for is_folder, found in opened if not is_folder and found[0].member is None]
     single.sort(key=lambda frame: (natural_key(str(frame.path.parent)), natural_key(frame.name)))
     several = (found for is_folder, found in opened if is_folder or found[0].member is not None)
@@ -60,6 +64,8 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
     for found in several:
         frames += [replace(frame, sequence=begun + frame.sequence) for frame in found]
         begun = frames[-1].sequence + 1
+    for lost in (frame for frame in frames if not frame.source.opened):
+        skipping.read(lost)  # now, so that too many end a call before any frame is labelled
     return [replace(frame, name=name) for frame, name in zip(frames, result_names(frames), strict=True)]
 
 
@@ -73,13 +79,23 @@ def open_recording(path: Path | str, topic: str | None = None, step_m: float | N
     floating point; None: as the recording says, or else millimetres and metres. Raises BadConfig for a path that cannot
     be read, or holds no frame, and for a step that is not above 0; MissingLibrary.
     """
+    return _opened(Path(path), topic, step_m, skip=False)
+
+
+def _opened(path: Path, topic: str | None, step_m: float | None, skip: bool) -> tuple[Frame, ...]:
+    """As `open_recording`. skip: what is there but cannot be opened is one frame, which says why when it is read."""
     if step_m is not None and not 0 < step_m < inf:
         raise BadConfig(f"step_m must be above 0, found {step_m!r}")
-    path = Path(path)
-    if path.is_dir():
-        return _folder(path, topic, step_m)
-    found = find_format(path)
-    return _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
+    try:
+        if path.is_dir():
+            return _folder(path, topic, step_m, skip)
+        found = find_format(path)
+        return _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
+    except BadConfig as error:
+        if not skip or not path.exists():
+            raise
+        lost = Unopened(str(error).removeprefix(str(path)).lstrip(": "))  # `Frame.read` names it again
+        return (Frame(path.stem, str(path), path, None, lost, ("",), step_m=step_m or MILLIMETRE),)
 
 
 def _pngs(frames: list[Frame], path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
@@ -116,7 +132,7 @@ def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE
     return Frame(path.stem, str(path), path, None, PngSource(path, size), ("",), 0, time_s, step_m)
 
 
-def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
+def _folder(path: Path, topic: str | None, step_m: float | None, skip: bool) -> tuple[Frame, ...]:
     """The PNGs in a folder; without any, the recording that the folder is, or all recordings in it as one.
 
     Of images of several kinds, as 7-Scenes, ScanNet and others have them, those of depth are read: by their names
@@ -132,7 +148,7 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame,
         return found.open(path, topic, step_m)
     inner = [path / name for name in _DEPTH_FOLDERS if (path / name).is_dir()]
     if not files and inner:
-        return _folder(inner[0], topic, step_m)
+        return _folder(inner[0], topic, step_m, skip)
     if not files:
         raise BadConfig(
             f"a folder of frames must hold .png files or recordings ({', '.join(SUFFIXES)}), found none in {path}"
@@ -140,7 +156,7 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame,
     files.sort(key=lambda file: natural_key(file.name))
     frames = list[Frame]()
     for part in files:
-        opened = open_recording(part, topic, step_m)
+        opened = _opened(part, topic, step_m, skip)
         sequence = frames[-1].sequence if frames else 0
         if frames and not _goes_on(frames[-1], opened[0]):
             sequence += 1
@@ -217,12 +233,9 @@ class Skipping:
             return None
 
 
-def first_readable(frames: Sequence[Frame], skipping: Skipping) -> Frame:
-    """Return the first frame that can be read. Raises BadConfig if none can, or too many cannot."""
-    for frame in frames:
-        if skipping.read(frame) is not None:
-            return frame
-    raise BadConfig(f"at least one frame must be readable, found none: {skipping.skipped[-1]['error']}")
+def first_readable(frames: Sequence[Frame], skipping: Skipping) -> Frame | None:
+    """Return the first frame that can be read, None if none can. Raises BadConfig if too many cannot."""
+    return next((frame for frame in frames if skipping.read(frame) is not None), None)
 
 
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}

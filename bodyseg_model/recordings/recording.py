@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,8 @@ class Stamp:
 class FrameSource(ABC):
     """Reader of the frames of one file by their numbers; a new one is a subclass."""
 
+    opened: ClassVar = True
+
     @abstractmethod
     def read(self, index: int) -> NDArray[Any]:
         """Read the pixels of frame `index`, [H, W]: steps in uint16 or metres in floating point.
@@ -55,6 +57,18 @@ class FrameSource(ABC):
     def stamp(self, index: int) -> Stamp | None:
         """Read the header of frame `index`; by default frames have none. Raises BadConfig."""
         return None
+
+
+class Unopened(FrameSource):
+    """Stands for a recording that cannot be opened. why: what was wrong with it."""
+
+    opened = False
+
+    def __init__(self, why: str) -> None:
+        self._why = why
+
+    def read(self, index: int) -> NDArray[Any]:
+        raise BadConfig(self._why)
 
 
 class ArrayFrames(FrameSource):

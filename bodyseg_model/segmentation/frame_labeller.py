@@ -275,13 +275,14 @@ class FrameLabeller:
         source: a path, or several, of PNGs, folders or recordings, read with `topic` and `step_m` as by `find_frames`;
         or frames that it found. rig, focal_px, centre_px: the camera, as of `frame_camera`; by default the one that
         recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
-        frames that cannot be read. Raises BadConfig as `find_frames` and `FrameCameras`; MissingLibrary.
+        frames that cannot be read, or recordings that cannot be opened. Raises BadConfig as `find_frames` and
+        `FrameCameras`; MissingLibrary.
         """
         given = [source] if isinstance(source, (str, Path, Frame)) else list(source)
         paths = [Path(each) for each in given if isinstance(each, (str, Path))]
         frames = [each for each in given if not isinstance(each, (str, Path))]
         if paths:
-            frames += find_frames(paths, topic, step_m)
+            frames += find_frames(paths, topic, step_m, skip_unreadable)
         if not all(isinstance(frame, Frame) for frame in frames):
             raise BadConfig("arrays are labelled one by one or by `stream`; a recording has frames, as LiveRecording")
         if not frames:

@@ -358,5 +358,7 @@ def test_what_a_labeller_refuses(tmp_path: Path) -> None:
             FrameLabeller(None, Background("keep"), **given)
     with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'caffe'"):
         FrameLabeller(trained, backend="caffe")
-    with pytest.raises(BadConfig, match="--skip-unreadable"):
-        labeller().recording(folder, focal_px=100.0, skip_unreadable=-1)
+    wrong: list[Any] = [-1, "2"]
+    for budget in wrong:
+        with pytest.raises(BadConfig, match="--skip-unreadable"):
+            labeller().recording(folder, focal_px=100.0, skip_unreadable=budget)

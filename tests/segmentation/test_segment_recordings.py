@@ -191,6 +191,29 @@ def test_frames_that_cannot_be_read_are_skipped_within_a_budget(
     assert "at least one frame must be readable, found none" in said
 
 
+@pytest.mark.usefixtures("near_is_person")
+@pytest.mark.parametrize("in_a_folder", [False, True])
+def test_a_recording_that_cannot_be_opened_is_skipped_like_a_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], in_a_folder: bool
+) -> None:
+    (folder := tmp_path / "day").mkdir()
+    bags = [write_mcap(folder / f"{name}.mcap", sent()) for name in "abc"]
+    bags[1].write_bytes(bags[1].read_bytes()[:40])
+    words = (*([folder] if in_a_folder else bags), "--out", tmp_path / "out", "--skip-unreadable")
+    said = refused(capsys, *words, "0")
+    assert f"{bags[1]} must be a whole MCAP file" in said and not (tmp_path / "out").exists()
+    assert run(*words, "1") == 1
+    captured = capsys.readouterr().err
+    assert "wrote 10 frames" in captured and f"\nskipped {bags[1]}: must be a whole MCAP file" in captured
+    facts = report(tmp_path / "out")
+    assert [frame["file"] for frame in facts["skipped"]] == [str(bags[1])] and facts["frames"] == 10
+    np.testing.assert_array_equal(labels(tmp_path / "out", facts["each"][-1]["name"]) != BACKGROUND, STACK[4] == 2000)
+    bags[2].write_bytes(b"")
+    said = refused(capsys, *words, "1")
+    assert f"{bags[2]}: " in said and said.endswith(", after 1 that --skip-unreadable allowed")
+    assert "No such file" in refused(capsys, tmp_path / "absent.mcap", *words, "9")
+
+
 def test_a_missing_package_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
