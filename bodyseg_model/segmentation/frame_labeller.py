@@ -206,7 +206,8 @@ class FrameLabeller:
         range_m: array or tensor of floating point, [H, W], metres along the optical axis, 0 or beyond 16.4 = nothing
         measured. camera: the one that took it, with or without lens distortion.
         With `video`, frames must come in order; `restart` begins another recording. Raises BadConfig for a frame of
-        another size than the camera's, of whole numbers or in millimetres, or with a body too large for a view.
+        another size than the camera's, of whole numbers or in millimetres, or, without a finder of people, with a body
+        too large for a view.
         """
         return self._find_in_array(0, range_m, camera)()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -73,7 +73,8 @@ class Segmentation:
     """Answer to a frame: its labels and bodies, from which methods make points, parts and joints of people.
 
     labels: uint8 [H, W], the network's classes on bodies, 255 elsewhere; label_map: these classes, if known.
-    bodies: the largest first. things: what the finder takes for people and the network doubts, without labels.
+    bodies: the largest first. things: what the finder takes for people and the network doubts, or sees in no view
+    (scale and confidence 0), without labels.
     range_m: float32 [H, W], the frame without lens distortion, metres, 0 = nothing measured; camera: of `range_m`.
     mirrored: the frame shows left for right. milliseconds: time of each of `STAGES`.
     """
@@ -156,12 +157,14 @@ class Segmentation:
 @dataclass(frozen=True)
 class FoundBodies:
     """The bodies of a frame, the largest first, each with what the network sees of it. range_m: the frame, turned
-    upright, float32 [H, W], metres; pixels are of it. milliseconds: of each of `STAGES` so far.
+    upright, float32 [H, W], metres; pixels are of it. milliseconds: of each of `STAGES` so far. unseen: what the finder
+    takes for people and no view can show.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
     bodies: tuple[tuple[Found, BodyView], ...]
     milliseconds: dict[str, float]
+    unseen: tuple[Found, ...] = ()
 
 
 def turned_image(image: NDArray[Any], quarters: int) -> NDArray[Any]:
@@ -193,6 +196,14 @@ def _may_lie(range_m: NDArray[np.float32]) -> bool:
     ranges = range_m[seen]
     third = max(1, len(ranges) // 3)
     return bool(wide > 1.2 * high or ranges[:third].mean() > ranges[-third:].mean() + 0.15)
+
+
+def _view_or_none(resample: Callable[[NDArray[np.intp]], BodyView], pixels: NDArray[np.intp]) -> BodyView | None:
+    """The view of a body; None if none can show it."""
+    try:
+        return resample(pixels)
+    except BadConfig:
+        return None
 
 
 @cache
@@ -289,7 +300,8 @@ class Segmenter:
         """Find the bodies of a frame that the network is to label: all that is done before the network.
 
         range_m: as of a call. Keeps nothing from frame to frame, so that another thread may find those of the next
-        frame while this one's are labelled. Raises BadConfig as `metres_of`, or for a body too large for a view.
+        frame while this one's are labelled. Raises BadConfig as `metres_of`, or for a body that no view can show; in
+        the background mode "people", where a wide camera meets one in a thousand, it is `unseen`.
         """
         range_m = metres_of(range_m, self.camera)
         watch, camera = Stopwatch(STAGES), self._upright
@@ -298,11 +310,16 @@ class Segmenter:
             # Mirrored frames are not turned: half of the images that finders are trained on are mirrored.
             bodies = find_bodies(range_m, camera, self.background, self.finder)
         with watch("resample"):
-            resample = partial(view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored)
+            resample: Callable[..., BodyView] = partial(
+                view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored
+            )
             if self.background.mode == "frame":
                 resample = partial(view_frame, range_m, mirrored=self.mirrored)
-            views = of_each(resample, [body.pixels for body in bodies], torch.get_num_threads())
-        return FoundBodies(range_m, tuple(zip(bodies, views, strict=True)), watch.milliseconds)
+            shown = partial(_view_or_none, resample) if self.background.mode == "people" else resample
+            views = of_each(shown, [body.pixels for body in bodies], torch.get_num_threads())
+        both = list(zip(bodies, views, strict=True))
+        seen = tuple((body, view) for body, view in both if view is not None)
+        return FoundBodies(range_m, seen, watch.milliseconds, tuple(body for body, view in both if view is None))
 
     def label(self, found: FoundBodies) -> Segmentation:
         """Label the bodies that `find` found; those that the network doubts too much to be people become things.
@@ -313,6 +330,9 @@ class Segmenter:
         watch.milliseconds.update(found.milliseconds)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies, things = list[LabelledBody](), list[LabelledBody]()
+        for pixels, person in found.unseen:
+            median_m, nothing = float(np.median(range_m.ravel()[pixels])), np.zeros(len(pixels), np.float32)
+            things.append(LabelledBody(pixels, median_m, 0.0, 0.0, nothing, person))
         with watch("network"):
             answers = predict_each(self._network, [view.range_m for _, view in found.bodies], *self._asked)
             self._turn_unsure(found, answers)

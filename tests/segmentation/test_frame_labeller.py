@@ -182,6 +182,22 @@ def test_answers_keep_their_frames_where_a_driver_fills_one_array_again(camera: 
         np.testing.assert_array_equal(answer.points(), expected.points())
 
 
+def test_a_person_whom_no_view_can_show_ends_no_stream() -> None:
+    """As a camera of 120 degrees sees somebody from 0.46 m on one side to 1.2 m on the other."""
+    wide = replace(CAMERA, focal_px=23.0)
+    across = (np.arange(80) + 0.5 - 40) / 23
+    z = (1.22898 * 0.71745 + 1.61883 * 0.46106) / (across * (1.22898 - 0.46106) + 0.71745 + 1.61883)
+    beside = np.full((60, 80), 4.0, np.float32)
+    shown = (across < 0.71745 / 0.46106) & (across > -1.61883 / 1.22898)
+    beside[10:50, shown] = z[shown]
+    first, second = labeller().stream([beside, standing(30, 1.0)], wide)
+    (thing,) = first.things
+    assert not first.bodies and (first.labels == BACKGROUND).all()
+    np.testing.assert_array_equal(thing.pixels, np.flatnonzero(beside < 3.5))
+    assert (thing.scale, thing.mean_confidence) == (0, 0) and 0.4 < thing.median_range_m < 1.3
+    assert len(second.bodies) == 1 and not second.things
+
+
 def test_a_bad_frame_of_a_stream_is_named() -> None:
     answers = labeller().stream([standing(20), standing(20).T], CAMERA)
     assert next(answers).bodies
