@@ -20,7 +20,7 @@ from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed
-from bodyseg_data.labels import BACKGROUND, PART_CLASSES, Classes
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, shape_of
@@ -143,8 +143,12 @@ class Augmentation:
         if covered < len(self.applied):
             scene = Scene(clean, self.rig, self.classes)
             for artifact in self.applied[covered:]:
-                with BadConfig.named(f"{sample.key}: artifact {artifact.name!r}"):
+                named = f"{sample.key}: artifact {artifact.name!r}"
+                with BadConfig.named(named):
                     artifact.apply(made, scene, replace(draws, purposes=artifact.purposes))
+                changed, count = labels[labels != clean.labels], len(self.classes)
+                if (strange := changed[(changed >= count) & (changed < UNLABELLED)]).size:
+                    raise BadConfig(f"{named} must give labels 0 to {count - 1}, 254 or 255, found {strange.min()}")
             lost = (image == 0).view(np.uint8)  # such pixels show nothing, so there is nothing to classify
             lost *= BACKGROUND  # 255: all bits
             labels |= lost

@@ -32,6 +32,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.artifacts.registry import ENTRY_POINT
 from bodyseg_data.artifacts.sensor_model import parse_sensor_model, sensor_model_from_json
 from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
 
 PAPER = load_sensor_model("paper")
 REVERSED = SensorModel("reversed", (Losses(0.4), MissingData((0.25,)), Noise(5.0, 5.0), Occlusion()), "another order")
@@ -270,6 +271,25 @@ def test_an_error_in_an_artifacts_draw_names_it(figures_set: Path) -> None:
 
     with pytest.raises(BadConfig, match=": artifact 'faulty': KeyError: 'sigma'"):
         RangeImages(figures_set, "noise", sensor=SensorModel("mine", (Undrawn(),)))[0]
+
+
+def test_an_artifact_may_give_a_pixel_another_class_of_the_set_alone(figures_set: Path) -> None:
+    @dataclass(frozen=True)
+    class Named(Artifact):
+        name, kind = "named", "noise"
+        label: int = 32
+
+        def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+            """As `Artifact.apply`."""
+            image.labels[image.range > 0] = self.label
+
+    def images(label: int) -> RangeImages:
+        return RangeImages(figures_set, "noise", sensor=SensorModel("mine", (Named(label),)))
+
+    for label in (32, UNLABELLED, BACKGROUND):
+        assert set(images(label)[0]["labels"].unique().tolist()) == {label, BACKGROUND}
+    with pytest.raises(BadConfig, match="artifact 'named' must give labels 0 to 32, 254 or 255, found 33$"):
+        images(33)[0]
 
 
 def test_what_an_artifact_draws_without_listing_it_replaces_no_quantity_of_another(figures_set: Path) -> None:
