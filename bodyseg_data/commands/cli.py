@@ -45,8 +45,8 @@ class Command(Protocol):
     def run(self, options: Any) -> int: ...
 
 
-class _Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM, which ends a command like Ctrl-C."""
+_ENDINGS: Final[dict[int, str]] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+_came: Final = list[int]()  # the signal that ends the command
 
 
 def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, program: str = "bodyseg ") -> int:
@@ -75,10 +75,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         if os.environ.get("BODYSEG_TRACEBACK") and hasattr(error, "__notes__"):  # of a user's code, or in a worker
             raise
         return _say(f"{program}{name}", str(error), 2)
-    except _Terminated:
-        return _say(f"{program}{name}", "terminated", 143)
     except KeyboardInterrupt:
-        return _say(f"{program}{name}", "interrupted", 130)
+        return _ended(f"{program}{name}")
     except BrokenPipeError:
         _leave_stdout()
         return 141
@@ -92,6 +90,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{program}{name}", f"{where}{error.strerror or error}", 2)
     except Exception as error:
+        if _came:  # where C has called Python, as LLVM does, the interrupt has become another error
+            return _ended(f"{program}{name}")
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
         if isinstance(error, UnicodeEncodeError) and error.encoding == "utf-8":  # of a library that opens files itself
@@ -101,6 +101,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         what = f"{type(error).__name__}: {error}"
         return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
+        _came.clear()
         for number, action in before.items():
             if signal.getsignal(number) is _stop:  # else a signal is ending this process
                 signal.signal(number, action)
@@ -128,7 +129,13 @@ def _stop(number: int, frame: Any) -> None:
     # A second Ctrl-C must not interrupt the cleaning up.
     for again in (signal.SIGINT, signal.SIGTERM):
         signal.signal(again, signal.SIG_IGN)
-    raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
+    _came.append(number)
+    raise KeyboardInterrupt
+
+
+def _ended(command: str) -> int:
+    number = _came[0] if _came else signal.SIGINT
+    return _say(command, _ENDINGS[number], 128 + number)
 
 
 def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 import io
@@ -328,6 +329,28 @@ def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     monkeypatch.setattr(verify, "run", interrupt)
     assert main(["verify", "x"]) == 130
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
+
+
+@pytest.mark.parametrize(("number", "said"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+def test_an_interrupt_that_c_has_made_another_error_of_is_one(
+    number: signal.Signals, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As by a second Ctrl-C while LLVM, which calls Python, compiles a loop."""
+
+    def compiling(options: object) -> int:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(number)
+        raise SystemError("a callback has raised")
+
+    monkeypatch.setattr(verify, "run", compiling)
+    before = signal.signal(number, signal.default_int_handler)  # ignored where tests run in the background
+    try:
+        assert main(["verify", "x"]) == 128 + number
+        assert capsys.readouterr().err == f"bodyseg verify: {said}\n"
+        monkeypatch.setattr(verify, "run", lambda options: 1 // 0)
+        assert main(["verify", "x"]) == 70
+    finally:
+        signal.signal(number, before)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
