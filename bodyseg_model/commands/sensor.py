@@ -13,7 +13,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_result
 from bodyseg_data.rigs import load_rig, rig_names
-from bodyseg_model import segmentation, sensor_fit
+from bodyseg_model import segmentation, sensor_fit, training
 from bodyseg_model.recordings import (
     CENTRE_HELP,
     FOCAL_HELP,
@@ -55,6 +55,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Measure a sensor, print the verdicts, and write what was asked for."""
+    training.use_threads(None)
     for path, flag in ((options.out, "--out"), (options.picture, "--picture")):
         if path is not None:
             check_target(path, flag)

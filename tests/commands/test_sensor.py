@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from bodyseg_data.artifacts import Noise, load_sensor_model, sensor_model_names
@@ -56,6 +57,17 @@ def test_frames_become_a_sensor_file_and_a_picture(
     assert noise.low_mm == noise.high_mm == pytest.approx(4, rel=0.1)
     with Image.open(picture) as drawn:
         assert drawn.width > 800
+
+
+def test_a_fit_takes_no_more_processors_than_its_container_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    monkeypatch.setattr("bodyseg_model.training.distributed.processors", lambda: 1)
+    try:
+        assert run("fit", "absent") == 2
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_figures_as_json(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
