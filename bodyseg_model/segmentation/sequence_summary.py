@@ -55,6 +55,7 @@ class SequenceSummary:
     def __init__(self) -> None:
         self._frames: list[dict[str, Any]] = []
         self._flicker = Counter[str]()
+        self._sure_pixels = 0.0  # sum of the confidence of all pixels that show a body
         self._last: tuple[int, Segmentation] | None = None
 
     def add(
@@ -69,7 +70,8 @@ class SequenceSummary:
         milliseconds: of all `STAGES`. sequence: number of its recording; flicker is counted within one, between frames
         of one size. camera: of this frame alone, where it has one.
         """
-        labels, bodies = segmentation.labels, segmentation.bodies
+        labels, bodies, sure = segmentation.labels, segmentation.bodies, segmentation.mean_confidence
+        self._sure_pixels += (sure or 0.0) * segmentation.pixels
         change = None
         if self._last is not None and (self._last[0], self._last[1].labels.shape) == (sequence, labels.shape):
             change = flicker(self._last[1], segmentation)
@@ -81,7 +83,7 @@ class SequenceSummary:
                 "people": len(bodies),
                 "pixels": segmentation.pixels,
                 "labelled": int(np.count_nonzero(labels != BACKGROUND)),
-                "mean_confidence": _rounded(segmentation.mean_confidence),
+                "mean_confidence": _rounded(sure),
                 "bodies": [_body(body, labels.shape[1]) for body in bodies],
                 "things": [_body(thing, labels.shape[1]) for thing in segmentation.things],
                 "flicker": None if change is None else flicker_shares(change),
@@ -108,9 +110,8 @@ class SequenceSummary:
     @property
     def mean_confidence(self) -> float | None:
         """Mean over all pixels that show a body; None if none does."""
-        with_people = [frame for frame in self._frames if frame["pixels"]]
-        total = sum(frame["pixels"] for frame in with_people)
-        return sum(frame["mean_confidence"] * frame["pixels"] for frame in with_people) / total if total else None
+        pixels = sum(frame["pixels"] for frame in self._frames)
+        return self._sure_pixels / pixels if pixels else None
 
     @property
     def milliseconds(self) -> dict[str, dict[str, float]]:

@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -270,6 +271,16 @@ def test_a_summary_is_of_all_frames() -> None:
     assert report["ms"]["network"] == {"mean": 2.0, "sd": 0.82, "p95": 2.9}
     assert report["ms"]["frame"]["mean"] == 2.0 * (len(ALL_STAGES) - 1), "writing is beside the next frame"
     assert report["ms"]["first_frame_counted"] is False
+
+
+def test_the_mean_of_all_frames_is_not_that_of_rounded_ones() -> None:
+    found, summary = Segmenter(Places(0, 11), LENS)(standing(34, 2.0)), SequenceSummary()
+    (body,) = found.bodies
+    for sure in (0.50004, 0.50004, 0.50014):
+        alike = replace(body, confidence=np.full(len(body.pixels), sure, np.float32))
+        summary.add(replace(found, bodies=(alike,)), dict.fromkeys(ALL_STAGES, 1.0))
+    assert summary.mean_confidence == pytest.approx(1.50022 / 3, abs=1e-7)
+    assert summary.to_json()["mean_confidence"] == 0.5001
 
 
 def test_a_summary_of_one_frame_or_of_nobody() -> None:
