@@ -2,7 +2,8 @@
 
 import io
 import math
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,14 +35,16 @@ _DEPTH: Final = {"Z": "X", "V": "U", "Y": "X", "R": "G"}
 _UNITS: Final = (("millimetres", 1e-3), ("centimetres", 1e-2))
 
 
-def read_array(path: Path, palette: bool = False) -> NDArray[Any]:
+def read_array(path: Path, palette: bool = False, labels: bool = False) -> NDArray[Any]:
     """Read an image: [H, W], or [H, W, C] for colours and vectors; booleans, integers or floats.
 
-    palette: return the colours of a picture that has a palette; else its numbers of them.
+    palette: return the colours of a picture that has a palette; else its numbers of them. labels: of an OpenEXR file
+    with depth beside colours, return the colours; else the depth.
 
     Raises BadSample, naming the file, for one that cannot be read; MissingLibrary for OpenEXR without its package.
     """
-    readers = {".npy": _read_numpy, ".npz": _read_numpy, ".exr": _read_exr}
+    read_exr = partial(_read_exr, labels=labels)
+    readers: dict[str, Callable[[Path], NDArray[Any]]] = {".npy": _read_numpy, ".npz": _read_numpy, ".exr": read_exr}
     # Decoders raise almost anything for damaged files.
     with BadSample.named(f"{path}: cannot be read as an image", passes=MissingLibrary):
         refuse_special(path)
@@ -85,7 +88,7 @@ def _read_picture(path: Path, palette: bool) -> NDArray[Any]:
         raise ValueError("it is no PNG or TIFF file of a sensible size") from error
 
 
-def _read_exr(path: Path) -> NDArray[Any]:
+def _read_exr(path: Path, labels: bool) -> NDArray[Any]:
     open_exr = required("OpenEXR", "reading OpenEXR files", "renders").File
     with open_exr(str(path), header_only=True) as file:
         for part in file.parts:
@@ -99,9 +102,12 @@ def _read_exr(path: Path) -> NDArray[Any]:
     for name in channels:
         layer, _, letter = name.rpartition(".")
         layers.setdefault(layer, {})[letter.upper()] = name  # "ViewLayer.Depth.Z" is Z
-    found = [[of[each]] for of in layers.values() for each, beside in _DEPTH.items() if each in of and beside not in of]
-    for letters in ("XYZ", "RGB"):
-        found = found or [[of[each] for each in letters] for of in layers.values() if set(letters) <= of.keys()]
+    depth = [[of[each]] for of in layers.values() for each, beside in _DEPTH.items() if each in of and beside not in of]
+    vectors, colours = (
+        [[of[each] for each in letters] for of in layers.values() if set(letters) <= of.keys()]
+        for letters in ("XYZ", "RGB")
+    )
+    found = (labels and colours) or depth or vectors or colours
     if len(found) != 1 and len(channels) > 1:
         raise ValueError(f"an image has one channel of depth, or one a colour, found {', '.join(sorted(channels))}")
     stacked = np.stack([channels[name] for name in (found or [list(channels)])[0]], axis=-1)

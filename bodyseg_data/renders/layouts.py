@@ -48,7 +48,8 @@ class PlainRenders(RenderSource):
         """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
         ray, coloured = self._content.along == "ray", {LABELS} if self._content.table.colours else ()
         found = {kind: files[key] for kind, files in self._files.items()}
-        return {kind: Stored(read_array(path, kind in coloured), str(path), ray) for kind, path in found.items()}
+        images = {kind: read_array(path, kind in coloured, kind == LABELS) for kind, path in found.items()}
+        return {kind: Stored(image, str(found[kind]), ray) for kind, image in images.items()}
 
 
 def _images(folder: Path) -> dict[str, Path]:

@@ -285,14 +285,15 @@ def test_the_depth_of_a_file_with_layers_is_found(tmp_path: Path) -> None:
     depth, others = np.arange(6, dtype=np.float32).reshape(2, 3), np.zeros((4, 2, 3), np.float32)
     others[0] = 1
 
-    def read(*names: str, in_parts: bool = False) -> Any:
+    def read(*names: str, in_parts: bool = False, labels: bool = False) -> Any:
         channels = {name: depth if name[-1] in "ZV" else others[place] for place, name in enumerate(names)}
         parts = [exr.Part({}, {name: image}, name.split(".")[0]) for name, image in channels.items()]
         exr.File(parts if in_parts else [exr.Part({}, channels)]).write(str(tmp_path / "a.exr"))
-        return read_array(tmp_path / "a.exr")
+        return read_array(tmp_path / "a.exr", labels=labels)
 
     for layers in ("R G B Z", "View.Combined.R View.Combined.G View.Combined.B View.Depth.Z", "IndexOB.X Depth.V"):
         np.testing.assert_array_equal(read(*layers.split()), depth)
+    np.testing.assert_array_equal(read("R", "G", "B", "Z", labels=True), np.moveaxis(others[:3], 0, 2))
     assert read("Combined.R", "Combined.G", "Combined.B", "A").shape == (2, 3, 3)
     assert read("Normal.X", "Normal.Y", "Normal.Z").shape == (2, 3, 3)
     np.testing.assert_array_equal(read("IndexOB.X", "Depth.Z", in_parts=True), depth)
@@ -301,6 +302,18 @@ def test_the_depth_of_a_file_with_layers_is_found(tmp_path: Path) -> None:
             BadSample, match=r"one channel of depth, or one a colour, found .*A\.Depth\.Z, .*B\.Depth\.Z"
         ):
             read("A.Depth.Z", "B.Depth.Z", in_parts=in_parts)
+
+
+def test_labels_beside_depth_are_read_from_the_colours(tmp_path: Path) -> None:
+    """As Blender writes them with a Z buffer; the range may be in whole numbers that are classes, too."""
+    exr = pytest.importorskip("OpenEXR")
+    folder = plain(tmp_path / "cell")
+    labels = open_renders(folder).load("scene-000").labels
+    (folder / "labels" / "scene-000.png").unlink()
+    numbers = np.where(labels == 255, 0, labels + 1).astype(np.float32)
+    channels = dict.fromkeys("RGB", numbers) | {"Z": np.ones_like(numbers)}
+    exr.File([exr.Part({}, channels)]).write(str(folder / "labels" / "scene-000.exr"))
+    np.testing.assert_array_equal(open_renders(folder).load("scene-000").labels, labels)
 
 
 def test_nothing_measured_is_told_by_many_numbers(tmp_path: Path) -> None:
