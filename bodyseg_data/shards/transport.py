@@ -37,7 +37,7 @@ _BLOCK_BYTES: Final = 4 << 20
 _TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, *range(500, 600)})
 _PERMANENT_ERRORS: Final = (PermissionError, IsADirectoryError, ValueError, TypeError, NotImplementedError)
 _PERMANENT_ERROR_NAMES: Final = frozenset(
-    {"NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError"}
+    {"NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError", "TooManyRedirects"}
 )
 _PERMANENT_ERRNOS: Final = frozenset({errno.EINVAL, errno.ENOSYS})
 _LISTINGS: Final = frozenset({"use_listings_cache", "listings_expiry_time", "max_paths"})

@@ -182,6 +182,8 @@ class _Handler(BaseHTTPRequestHandler):
                 return None
             case "moved":
                 return refusal(302, Location=server.url(f"good/{name}"))
+            case "circle":
+                return refusal(302, Location=server.url(f"circle/{name}"))
             case "private":
                 known = self.headers.get("Authorization") == USER
                 return self._file(name) if known else refusal(401, WWW_Authenticate='Basic realm="x"')
