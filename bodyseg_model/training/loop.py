@@ -180,8 +180,7 @@ class Training:
                 raise BadConfig("images to train on have no class for surfaces of none: open them without unlabelled")
             if (differing := images.label_map.difference(each.label_map)) is not None:
                 raise BadConfig(f"images to validate on must have the classes of those to train on, found {differing}")
-        if recipe.mirror and not images.label_map.has_mirror_image:
-            _ = images.label_map.mirrored  # raises, and says for which class
+        # Whether there is a pair asks for mirror images first, which raises, and says for which class there is none.
         if recipe.mirror and (alike := images.label_map.unpaired):
             no_pair = "are no pair, but half of images are mirrored: say mirror in the set's classes, or --no-mirror"
             warnings.warn(f"classes {' and '.join(alike)} {no_pair}", stacklevel=2)
