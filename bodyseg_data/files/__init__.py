@@ -11,6 +11,7 @@ if TYPE_CHECKING:
         cache_folder,
         claimed,
         contents,
+        entries_of,
         held_part,
         last_name,
         make_folder,

@@ -33,6 +33,7 @@ _CHUNK_BYTES: Final = 1 << 20
 _PART: Final = ".part"
 _ANY_PART: Final = f".{'[0-9a-f]' * 8}{_PART}"  # a pattern: how all names of `part_beside` end
 _LOCK: Final = ".lock"
+_OF_WINDOWS: Final = ("desktop.ini", "thumbs.db")
 
 Value = TypeVar("Value")
 
@@ -137,6 +138,14 @@ def make_folder(path: Path) -> list[Path]:
         made = [each for each in (path, *path.parents) if not each.exists()]
         path.mkdir(parents=True, exist_ok=True)
     return made
+
+
+def entries_of(folder: Path) -> list[Path]:
+    """Entries of a folder in alphabetical order, without those that systems and programs hide: of a leading dot, as
+    macOS's .DS_Store, and Windows's Thumbs.db and desktop.ini. Raises OSError.
+    """
+    paths = sorted(folder.iterdir())
+    return [path for path in paths if not path.name.startswith(".") and path.name.lower() not in _OF_WINDOWS]
 
 
 def cache_folder() -> Path:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample, reported
-from bodyseg_data.files import refuse_special
+from bodyseg_data.files import entries_of, refuse_special
 from bodyseg_data.machine import required
 from bodyseg_data.renders.images import MOST_NUMBERS
 from bodyseg_data.renders.set_file import SetFile, read_rows
@@ -54,8 +54,7 @@ class BlenderProcRenders(RenderSource):
 
 
 def _frames(folder: Path) -> dict[str, Path]:
-    inside = sorted(folder.iterdir()) if folder.is_dir() else []
-    paths = [path for path in inside if path.suffix in ENDINGS and not path.name.startswith(".")]
+    paths = [path for path in entries_of(folder) if path.suffix in ENDINGS] if folder.is_dir() else []
     if not paths:
         raise BadConfig(f"{folder}: BlenderProc writes {ENDINGS[0]} files, found none")
     return by_key((path.stem, path) for path in paths)

@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 
 from bodyseg_data.core import BadConfig, check_choice
-from bodyseg_data.files import natural_key
+from bodyseg_data.files import entries_of, natural_key
 from bodyseg_data.renders.blenderproc import ENDINGS, BlenderProcRenders
 from bodyseg_data.renders.images import SUFFIXES, read_array
 from bodyseg_data.renders.isaac import AXIS, RAY, IsaacRenders, frames
@@ -56,7 +56,7 @@ def _images(folder: Path) -> dict[str, Path]:
     """The images of a folder by key. Raises BadConfig for a file of another kind, or none."""
     if not folder.is_dir():
         raise BadConfig(f"{folder}: a set of renders needs this folder, with one image a sample")
-    paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    paths = entries_of(folder)
     for path in paths:
         if path.suffix.lower() not in SUFFIXES or path.is_dir():
             raise BadConfig(f"{path}: an image must end in {', '.join(SUFFIXES)}, which keep numbers as they are")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_int, reported
-from bodyseg_data.files import natural_key, refuse_special
+from bodyseg_data.files import entries_of, natural_key, refuse_special
 from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
 from bodyseg_model.recordings.recording import MILLIMETRE, Frame, FrameSource, Pixels, Unopened, check_pixels
@@ -139,7 +139,7 @@ def _folder(path: Path, topic: str | None, step_m: float | None, skip: bool) -> 
     ("000.depth", "depth_0") if some have such a name; or those in the folder called depth if there is nothing else.
     """
     with reported(f"cannot read {path}", BadConfig, OSError):
-        files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
+        files = [file for file in entries_of(path) if not file.is_dir()]
     pngs = _of_depth([file for file in files if file.suffix.lower() == ".png"])
     files = _of_depth([*pngs, *(file for file in files if file.suffix.lower() in SUFFIXES)])
     if pngs := [file for file in files if file.suffix.lower() == ".png"]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch, reported
 from bodyseg_data.drawing import draw_legend, save_picture
-from bodyseg_data.files import claimed, parts_left, read_json, sync, write_json, write_result
+from bodyseg_data.files import claimed, entries_of, parts_left, read_json, sync, write_json, write_result
 from bodyseg_data.labels import TEMPLATE, LabelMap
 from bodyseg_data.machine import peak_mb
 from bodyseg_model.recordings import Frame
@@ -91,7 +91,7 @@ class OutputFolder:
     def _look(self) -> None:
         path, held = self.path, list[str]()
         with reported(f"cannot write {path}", BadConfig, OSError), contextlib.suppress(FileNotFoundError):
-            held = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
+            held = [entry.name for entry in entries_of(path)]
         if held:
             self._earlier = _earlier_frames(path, held)
             same = {frame["path_id"] for frame in self._frames}

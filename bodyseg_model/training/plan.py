@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.files import make_folder, read_bytes, read_json, write_json, write_result
+from bodyseg_data.files import entries_of, make_folder, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet, first_difference
 from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
@@ -123,7 +123,7 @@ class RunFolder:
         make_folder(self.path)
         wanted = json.loads(json.dumps({"format": FORMAT, **plan}))
         file = self.path / RunFiles.PLAN
-        held = {entry.name for entry in self.path.iterdir() if not entry.name.startswith(".")}
+        held = {entry.name for entry in entries_of(self.path)}
         found = read_json(file) if RunFiles.PLAN in held else {}
         if held and found.get("format") != FORMAT:
             raise BadConfig(f"{self.path} holds files but no training: give a new or empty folder")

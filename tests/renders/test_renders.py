@@ -373,6 +373,14 @@ def test_a_set_without_the_projectors_images_is_one_too(tmp_path: Path) -> None:
     assert packed(folder, variant="none").manifest.projector == "none"
 
 
+def test_what_systems_leave_in_folders_is_no_image(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell")
+    keys = open_renders(folder).keys()
+    for name in (".DS_Store", "._scene-000.png", "Thumbs.db", "desktop.ini"):
+        (folder / "range" / name).write_bytes(b"thumbnails")
+    assert open_renders(folder).keys() == keys
+
+
 def test_images_of_the_projector_that_are_not_stored_are_not_read(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell")
     for path in (folder / "projector").iterdir():
