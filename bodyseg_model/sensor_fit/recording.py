@@ -193,9 +193,9 @@ class MarkedRecording:
 
 def _block_means(image: NDArray[np.float32], known: Mask, side: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Means of an image's known pixels in square blocks with at least a quarter known, [N], and pixels of each."""
-    rows, columns = (length // side * side for length in known.shape)
-    image = np.where(known, image, 0)
-    sums, counts = (each[:rows, :columns].reshape(rows // side, side, -1, side).sum((1, 3)) for each in (image, known))
+    down, across = (length // side for length in known.shape)
+    cut = (each[: down * side, : across * side] for each in (np.where(known, image, 0), known))
+    sums, counts = (each.reshape(down, side, across, side).sum((1, 3)) for each in cut)
     full = counts >= side * side // 4
     return sums[full] / counts[full], counts[full]
 

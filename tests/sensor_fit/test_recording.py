@@ -71,3 +71,11 @@ def test_a_body_is_still_whatever_is_lost_of_it() -> None:
     assert recorded(Noise(8.0, 8.0), PatchLoss(0.2, 0.2)).still
     assert not recorded(Noise(8.0, 8.0), moving=True).still
     assert not recorded(frames=1).still
+
+
+def test_frames_of_fewer_rows_than_a_block_are_measured(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for name in "1234":
+        save(tmp_path, name, 1000 + rng.integers(-2, 3, (24, 32)))
+    camera = frame_camera((24, 32), "a frame", focal_px=30.0).camera
+    assert read_recording(find_frames([tmp_path]), camera, Background(), 2.0).still
