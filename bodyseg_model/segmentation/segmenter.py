@@ -385,7 +385,7 @@ class Segmenter:
             part_people(room, room > 0, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
         if self.video is not None:
-            seen = [(np.arange(9 * room.shape[1]), np.ones(9 * room.shape[1], np.float32))]
+            seen = [(np.arange(room[:9].size), np.ones(room[:9].size, np.float32))]
             another = CarriedLabels(self.video.carrying)  # the second frame moves
             for _ in range(2):
                 another(room, np.zeros(room.shape, np.uint8), seen, self._upright)

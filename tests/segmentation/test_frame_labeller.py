@@ -22,8 +22,9 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PARTS33, load_label_map
 from bodyseg_data.rigs import Camera, Distortion, load_rig
 from bodyseg_model.networks import Trained, load_network
-from bodyseg_model.recordings import Frame, LiveRecording, find_frames
+from bodyseg_model.recordings import Frame, LiveRecording, find_frames, frame_camera
 from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmenter, frame_labeller
+from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.segmenter import LEAST_CONFIDENCE, STAGES
 from bodyseg_model.segmentation.views import Undistortion
 
@@ -270,6 +271,11 @@ def test_whole_frames_are_prepared_for_in_their_own_size(monkeypatch: pytest.Mon
     Segmenter(network, CAMERA, Background("frame")).prepare()
     FrameLabeller(Trained(network, {}), Background("frame"), device="cpu").prepare(CAMERA)
     assert sizes == [(60, 80)] * 2, "and in no size of views of bodies"
+
+
+def test_a_video_of_few_rows_is_prepared_for() -> None:
+    camera = frame_camera((8, 8), "a frame", focal_px=8.0).camera
+    Segmenter(Places(0, 5), camera, Background("frame"), video=CarriedLabels()).prepare()
 
 
 def test_one_frame_is_a_recording() -> None:
