@@ -21,7 +21,7 @@ from bodyseg_model.segmentation.views import Undistortion
 Floats = NDArray[np.float64]
 CAMERA = (504.0, 504.0, 319.5, 287.5)
 SIZE = (576, 640)
-AZURE = (0.5867, -0.0926, 0.00009, -0.00006, 0.0030, 0.9227, 0.0128, 0.0167)
+AZURE = (0.5867, -0.0926, 0.002, -0.003, 0.0030, 0.9227, 0.0128, 0.0167)  # p1 and p2 are larger than one has
 
 
 def five(model: str, *coefficients: float, camera: tuple[float, float, float, float] = CAMERA) -> Distortion | None:
@@ -49,15 +49,16 @@ def test_five_coefficients_are_taken_as_they_are(model: str) -> None:
     assert five(model, *[0.0] * 8) is None
 
 
-@pytest.mark.parametrize("behind", [(), (0.0,) * 4, (0.0,) * 6])
+@pytest.mark.parametrize("behind", [(), (0.0,) * 4, (0.0,) * 6, (0.001, -0.003, 0.002, -0.004)])
 def test_an_azure_kinect_s_eight_coefficients_are_fitted(behind: tuple[float, ...]) -> None:
     x, y = directions()
     k1, k2, p1, p2, k3, k4, k5, k6 = AZURE
     r = x * x + y * y
     factor = (1 + k1 * r + k2 * r**2 + k3 * r**3) / (1 + k4 * r + k5 * r**2 + k6 * r**3)
+    s1, s2, s3, s4 = (*behind, 0.0, 0.0, 0.0, 0.0)[:4]
     across, down = (
-        x * factor + 2 * p1 * x * y + p2 * (r + 2 * x * x),
-        y * factor + p1 * (r + 2 * y * y) + 2 * p2 * x * y,
+        x * factor + 2 * p1 * x * y + p2 * (r + 2 * x * x) + s1 * r + s2 * r**2,
+        y * factor + p1 * (r + 2 * y * y) + 2 * p2 * x * y + s3 * r + s4 * r**2,
     )
     check_drawn(five("rational_polynomial", *AZURE, *behind), across, down)
 
@@ -67,8 +68,11 @@ def test_fisheyes_of_moderate_width_are_fitted(model: str) -> None:
     x, y = directions()
     r = np.hypot(x, y)
     theta = np.arctan(r)
-    drawn = theta * (1 + 0.05 * theta**2 - 0.01 * theta**4)
-    check_drawn(five(model, 0.05, -0.01, 0.0, 0.0, 0.0), x * drawn / r, y * drawn / r)
+    drawn = theta * (1 + 0.05 * theta**2 - 0.01 * theta**4 + 0.04 * theta**6 - 0.05 * theta**8)
+    found = five(model, 0.05, -0.01, 0.04, -0.05, 0.0)
+    check_drawn(found, x * drawn / r, y * drawn / r)
+    unsized = driver_camera(model, (0.05, -0.01, 0.04, -0.05), CAMERA, None, "a.mcap: /info")
+    assert unsized.distortion == found, "the principal point is taken for the middle"
     with pytest.raises(BadConfig, match=r"^a.mcap: /info: five coefficients must follow the lens to 1 pixel, found"):
         five(model, 0.05, -0.01, 0.0, 0.0, camera=(150.0, 150.0, 319.5, 287.5))
 
@@ -76,7 +80,7 @@ def test_fisheyes_of_moderate_width_are_fitted(model: str) -> None:
 @pytest.mark.parametrize("model", ["Modified Brown Conrady", "Inverse Brown Conrady"])
 def test_realsense_s_forms_are_drawn_as_librealsense_draws_them(model: str) -> None:
     """By `rs2_project_point_to_pixel`, into images aligned to a D455's colour camera, too; all of them are forward."""
-    k1, k2, p1, p2, k3 = given = (-0.057, 0.066, 0.0004, 0.0002, -0.021)
+    k1, k2, p1, p2, k3 = given = (-0.057, 0.066, 0.004, 0.002, -0.021)
     x, y = directions()
     r = x * x + y * y
     factor = 1 + k1 * r + k2 * r**2 + k3 * r**3
