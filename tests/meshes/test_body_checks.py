@@ -12,6 +12,7 @@ from people_on_disk import PERSON, VERTICES, obj, write_by_point, write_by_verte
 
 from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadMesh
+from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import Mesh, check_body, cuboid
 
 POINTS = PERSON.vertices[list(VERTICES)]
@@ -74,14 +75,23 @@ def test_a_turntable_and_a_wall() -> None:
     table = cuboid((0.6, 0.1, 0.6), (0.0, LOW - 0.05, 0.0))
     with pytest.raises(BadMesh, match="under it"):
         checked(*beside(table.vertices, table.faces))
+    plate = cuboid((0.45, 0.02, 0.45), (0.0, LOW - 0.01, 0.0))
+    vertices, faces = beside(plate.vertices, plate.faces)
+    with pytest.raises(BadMesh, match="under it"):
+        checked(vertices / 2, faces, POINTS / 2)  # of a doll
     wall = cuboid((2.0, 2.0, 0.02), (0.0, 1.0, -0.6))
     with pytest.raises(BadMesh, match="a flat piece of 2 x 2 m without a landmark: take"):
         checked(*beside(wall.vertices, wall.faces))
 
 
 def test_what_people_wear_and_hold_passes() -> None:
-    for size, centre in (((0.1, 0.03, 0.28), (0.1, 0.0, 0.05)), ((0.35, 0.02, 0.35), (0.0, 1.7, 0.0))):
-        piece = cuboid(size, centre)  # a sole, and the brim of a hat
+    for size, centre in (
+        ((0.1, 0.03, 0.28), (0.1, 0.0, 0.05)),  # a sole
+        ((0.35, 0.02, 0.35), (0.0, 1.7, 0.0)),  # the brim of a hat
+        ((0.8, 1.0, 0.1), (0.0, 1.0, -0.2)),  # a mattress on the back
+        ((0.05, 0.05, 0.05), (1.5, 1.0, 0.0)),  # nothing: a scrap of a scan
+    ):
+        piece = cuboid(size, centre)
         checked(*beside(piece.vertices, piece.faces))
     skirt = cuboid((0.7, 0.9, 0.7), (0.0, 0.45, 0.0))
     checked(*beside(skirt.vertices, skirt.faces))
@@ -99,14 +109,32 @@ def test_a_loose_face_of_two_places_far_apart_is_no_plate() -> None:
     checked(*beside(ends, np.array([[0, 1, 1]], np.int32)))
 
 
-def test_a_floor_that_has_grown_together_with_the_feet() -> None:
-    floor, faces = square(1.6, LOW, 16)
-    joined = len(PERSON.vertices) + int(np.linalg.norm(floor, axis=1).argmin())
+def grown_together(height: float, with_vertex: int) -> tuple[Floats, NDArray[np.int32]]:
+    """The person and a level square that has the middle in common."""
+    floor, faces = square(1.6, height, 16)
+    joined = len(PERSON.vertices) + int(np.linalg.norm(floor - (0, height, 0), axis=1).argmin())
     faces = faces + len(PERSON.vertices)
-    faces[faces == joined] = int(PERSON.vertices[:, 1].argmin())
-    vertices = np.concatenate([PERSON.vertices, floor])
+    faces[faces == joined] = with_vertex
+    return np.concatenate([PERSON.vertices, floor]), np.concatenate([PERSON.faces, faces])
+
+
+def test_a_floor_that_has_grown_together_with_the_feet_and_no_tray() -> None:
     with pytest.raises(BadMesh, match="m2 of level surface at its bottom, away from all landmarks"):
-        checked(vertices, np.concatenate([PERSON.faces, faces]))
+        checked(*grown_together(LOW, int(PERSON.vertices[:, 1].argmin())))
+    checked(*grown_together(1.1, VERTICES[LANDMARKS.index("Rt. Dactylion")]))
+
+
+@pytest.mark.parametrize("fault", ["chest", "belly"])
+def test_chest_and_belly_tell_a_mirror_image_together(fault: str) -> None:
+    """As of somebody who bends or twists: one of the two is a little behind."""
+    front = {"chest": ("Suprasternale", "Substernale"), "belly": ("Rt. ASIS", "Lt. ASIS")}[fault]
+    back = {"chest": ("Cervicale", "10th Rib Midspine"), "belly": ("Rt. PSIS", "Lt. PSIS")}[fault]
+    points = POINTS.copy()
+    for own, other in zip(front, back, strict=True):
+        points[LANDMARKS.index(own)] = POINTS[LANDMARKS.index(other)] - (0, 0.1, 0.01)
+    checked(PERSON.vertices, PERSON.faces, points)
+    with pytest.raises(BadMesh, match="the mesh is mirrored"):
+        checked(PERSON.vertices @ MIRROR, PERSON.faces[:, ::-1], points @ MIRROR)
 
 
 def test_a_body_that_is_a_small_part_of_its_mesh() -> None:
