@@ -19,7 +19,7 @@ from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rigs import Camera, PlacedCamera, axes_at, load_rig
 from bodyseg_model.segmentation import view_body
 from bodyseg_model.segmentation import views as module
-from bodyseg_model.segmentation.views import LARGEST_SIDE, STEP, USUAL_PEOPLE, BodyView, usual_views
+from bodyseg_model.segmentation.views import LARGEST_SIDE, STEP, USUAL_PEOPLE, BodyView, usual_views, view_frame
 
 PAPER = load_rig()
 NEAREST_M, FARTHEST_M = PAPER.range_step_m, 65535 * PAPER.range_step_m
@@ -131,6 +131,16 @@ def test_mirrored_frames_are_turned_round() -> None:
     back[turned > 0] = mirrored.back(labels)
     assert mirrored.range_m.shape == plain.range_m.shape
     np.testing.assert_array_equal(back[:, ::-1][image > 0], plain.back(labels))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_whole_frame_is_shown_as_it_stands_and_without_its_background(mirrored: bool) -> None:
+    frame = np.arange(1, 13, dtype=np.float32).reshape(3, 4)
+    pixels = np.flatnonzero(frame % 3)
+    view = view_frame(frame, pixels, mirrored)
+    np.testing.assert_array_equal(view.range_m, np.where(frame % 3, frame, 0)[:, :: -1 if mirrored else 1])
+    np.testing.assert_array_equal(view.back(view.range_m), frame.ravel()[pixels])
+    assert (view.corner, view.turn_rad, view.median_range_m, view.scale) == ((0, 0), 0, 6, 1)
 
 
 def turned(
