@@ -72,8 +72,10 @@ def test_what_is_too_much_goes(more: Any, kept: Any, note: str) -> None:
 def test_at_a_crowded_edge_faces_joined_to_others_stay_before_large_ones() -> None:
     """The extra face of 40 m2 has two open edges, so it goes; among equals the smallest goes."""
     fin = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, -1, 0], [0.5, 0, 0.5]])
-    result = mended(fin, [[0, 1, 2], [1, 0, 3], [0, 1, 4]])
-    np.testing.assert_array_equal(result.faces, [[0, 1, 2], [1, 0, 3]])
+    faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
+    np.testing.assert_array_equal(mended(fin, faces).faces, faces[:2])
+    loose = mended(fin[faces].reshape(-1, 3), np.arange(9).reshape(-1, 3))
+    np.testing.assert_array_equal(loose.faces, [[0, 1, 2], [1, 0, 5]], "also where the edge is there only once welded")
 
 
 def test_a_needle_collapses_and_the_faces_around_it_close() -> None:

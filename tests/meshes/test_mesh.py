@@ -11,7 +11,7 @@ from shapes import ball, figure
 from spheres import icosphere
 
 from bodyseg_data.core import BadMesh, MissingLibrary
-from bodyseg_data.meshes import Mesh
+from bodyseg_data.meshes import Mesh, cuboid
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -111,6 +111,16 @@ def test_only_closed_pieces_must_enclose_a_volume() -> None:
         Mesh("closed", vertices, np.concatenate([whole.faces, cavity]))
     mesh = Mesh("open", vertices, np.concatenate([whole.faces, cavity[:-5]]))
     assert mesh.signed_volume() == pytest.approx(whole.signed_volume() - inner.signed_volume(), rel=5e-3)
+
+
+@pytest.mark.parametrize("side", range(6))
+def test_a_body_with_a_hole_is_judged_about_itself(side: int) -> None:
+    """About the origin, what the hole lacks would be more than all that is there."""
+    box = cuboid((1.0, 1.0, 1.0), (20.0, 20.0, 20.0))
+    faces = np.delete(box.faces, [side, side + 6], axis=0)
+    Mesh("open", box.vertices, faces)
+    with pytest.raises(BadMesh, match="faces must point outwards"):
+        Mesh("open", box.vertices, faces[:, ::-1])
 
 
 def test_triangles_with_vertices_of_their_own_have_the_volume_of_the_whole() -> None:
