@@ -302,6 +302,8 @@ def test_the_depth_of_a_file_with_layers_is_found(tmp_path: Path) -> None:
             BadSample, match=r"one channel of depth, or one a colour, found .*A\.Depth\.Z, .*B\.Depth\.Z"
         ):
             read("A.Depth.Z", "B.Depth.Z", in_parts=in_parts)
+    exr.File([exr.Part({}, dict.fromkeys("RGB", depth))]).write(str(tmp_path / "a.exr"))
+    np.testing.assert_array_equal(read_array(tmp_path / "a.exr"), depth, "grey that was saved in colours")
 
 
 def test_labels_beside_depth_are_read_from_the_colours(tmp_path: Path) -> None:
@@ -318,9 +320,10 @@ def test_labels_beside_depth_are_read_from_the_colours(tmp_path: Path) -> None:
 
 def test_nothing_measured_is_told_by_many_numbers(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell", ending=".npy")
-    (folder / "set.toml").write_text((folder / "set.toml").read_text() + "no_range = [7777.0]\n")
+    (folder / "set.toml").write_text((folder / "set.toml").read_text() + "no_range = [7777.0, 3000]\n")
     for number, nothing in enumerate((np.inf, np.nan, 1e10, 7777.002)):
-        range_m = seen_by(CAMERA, number)[0]
+        range_m = seen_by(CAMERA, number)[0].copy()
+        range_m.ravel()[np.flatnonzero(range_m)[0]] = 3.0005  # half a millimetre beside nothing
         save(
             folder / "range" / f"scene-00{number}.npy",
             np.where(range_m == 0, nothing, 1000 * range_m).astype(np.float32),
