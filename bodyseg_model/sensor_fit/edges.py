@@ -25,10 +25,10 @@ _LEAST, _MOST = 0.7, 1.5  # measured baseline over the rig's, which is 0.71 for 
 def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
     """The finding of "mixed_pixels": edges with a pixel between both ranges, against edges without one.
 
-    A position nearer than a jump or `_END` to either end counts as the end; the share is corrected for these, since
-    positions are even over the gap. Edges with lost pixels between both surfaces are left out.
+    A position nearer than `_END`, which is more than a jump, to either end counts as the end; the share is corrected
+    for these, since positions are even over the gap. Edges with lost pixels between both surfaces are left out.
     """
-    mixed, plain, between, beside, room = 0, 0, 0.0, 0.0, []
+    mixed, plain, ends, room = 0, 0, 0.0, []
     for frame in recording.frames:
         jump = max(_JUMP_M, _NOISES * frame.noise_m)
         image = frame.range_m.astype(np.float64)
@@ -36,14 +36,13 @@ def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
             gaps_mixed, gaps_plain = _edges(np.rot90(image, quarters), np.rot90(frame.body, quarters), jump)
             mixed += len(gaps_mixed)
             plain += len(gaps_plain)
-            each = 1 / (1 - 2 * np.maximum(jump / gaps_mixed, _END))
-            between += float(each.sum())
-            beside += float((each * 2 * jump / gaps_mixed).sum())  # so near an end that they look like it
+            ends += float((2 * jump / gaps_mixed).sum())  # shares of a gap so near an end that they look like it
         room.append(float(np.median(frame.range_m[frame.room])) if frame.room.any() else np.nan)
     if mixed + plain < _LEAST_EDGES:
         few = f"{mixed + plain} edges before a measured surface, {_LEAST_EDGES} are needed"
         return Finding("mixed_pixels", UNKNOWN, few)
-    share = min(between / (between + max(plain - beside, 0.0)), 1.0) if mixed else 0.0
+    between, beside = mixed / (1 - 2 * _END), ends / (1 - 2 * _END)
+    share = between / (between + max(plain - beside, 0.0)) if mixed else 0.0
     error = float(np.sqrt(max(share * (1 - share), 1e-4) / (mixed + plain)))
     estimates = {"share": Estimate(share, error)}
     reason = f"{mixed} of {mixed + plain} edges have a pixel between both ranges"
