@@ -262,13 +262,15 @@ def test_pictures_with_a_palette_are_of_its_colours_where_the_set_names_colours(
     np.testing.assert_array_equal(open_renders(folder).load("scene-001").labels, turned[seen_by(CAMERA, 1)[1]])
 
 
-def test_background_may_be_a_negative_number(tmp_path: Path) -> None:
-    """As MuJoCo, PyBullet and Hypersim write it."""
+@pytest.mark.parametrize("nothing", [-1, 1 << 40])
+def test_background_may_be_any_number(tmp_path: Path, nothing: int) -> None:
+    """A negative one, as MuJoCo, PyBullet and Hypersim write it, or one that no table has room for."""
     folder = plain(tmp_path / "cell")
-    (folder / "set.toml").write_text((folder / "set.toml").read_text().replace("background = [0]", "background = [-1]"))
+    text = (folder / "set.toml").read_text()
+    (folder / "set.toml").write_text(text.replace("background = [0]", f"background = [{nothing}]"))
     labels = seen_by(CAMERA, 0)[1]
     (folder / "labels" / "scene-000.png").unlink()
-    save(folder / "labels" / "scene-000.npy", np.where(labels == 255, -1, labels.astype(np.int32) + 1))
+    save(folder / "labels" / "scene-000.npy", np.where(labels == 255, nothing, labels.astype(np.int64) + 1))
     np.testing.assert_array_equal(open_renders(folder).load("scene-000").labels, labels)
 
 
