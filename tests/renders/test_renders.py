@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,18 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from rendered_scenes import CAMERA, NAMES, PROJECTOR, along_ray, blenderproc, isaac, plain, save, seen_by
+from rendered_scenes import (
+    CAMERA,
+    NAMES,
+    PROJECTOR,
+    along_ray,
+    blenderproc,
+    isaac,
+    plain,
+    save,
+    seen_by,
+    view_transform,
+)
 
 from bodyseg_data import RangeImages
 from bodyseg_data.commands.cli import main
@@ -347,6 +360,19 @@ def test_a_rig_may_stand_in_the_set_and_ranges_along_the_ray(tmp_path: Path) -> 
     np.testing.assert_allclose(render.range_m, seen_by(CAMERA, 2)[0], atol=1e-5)
     packed(folder, "--projector", "exact")
     packed(folder, "--plan")
+
+
+def test_camera_files_of_isaac_sim_may_lack_what_is_usual(tmp_path: Path) -> None:
+    folder = isaac(tmp_path / "cell")
+    (rig,) = open_renders(folder).rigs
+    for home, device in ((folder, CAMERA), (folder / "projector", PROJECTOR)):
+        for path in home.glob("camera_params_*.json"):
+            said = json.loads(path.read_text()) | {"cameraViewTransform": view_transform(device, 1.0)}
+            needed = "cameraAperture", "cameraFocalLength", "cameraViewTransform", "renderProductResolution"
+            path.write_text(json.dumps({name: said[name] for name in needed}))
+    assert open_renders(folder).rigs == (rig,)
+    (folder / "set.toml").write_text('format = "bodyseg renders 1"\nrange_step_mm = 0.25\n')
+    assert open_renders(folder).rigs == (replace(rig, range_step_mm=0.25),)
 
 
 def test_a_wall_of_floats_is_a_surface(tmp_path: Path) -> None:
