@@ -171,16 +171,17 @@ def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
 
 
 def test_recordings_in_a_folder_go_on_where_their_times_do(tmp_path: Path) -> None:
-    for name, times in {"1": [0.0, 0.1], "2": [0.2, 1.0], "3": [2.1, 2.2], "4": [2.0, 2.5], "5": None}.items():
+    untimed, times_of = {"0": None, "5": None}, {"1": [0.0, 0.1], "2": [0.1, 1.0], "3": [2.1, 2.2], "4": [2.0, 2.5]}
+    for name, times in {**untimed, **times_of}.items():
         np.savez(tmp_path / f"{name}.npz", depth=STACK[:2], **({} if times is None else {"timestamps": times}))
     np.save(tmp_path / "6.npy", STACK[:2])
-    assert [frame.sequence for frame in open_recording(tmp_path)] == [0, 0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert [frame.sequence for frame in open_recording(tmp_path)] == [0, 0, 1, 1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
     np.save(tmp_path.parent / "other.npy", STACK[:2])
     found = find_frames([tmp_path, tmp_path.parent / "other.npy"])
-    assert [frame.sequence for frame in found] == [1, 1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
+    assert [frame.sequence for frame in found] == [1, 1, 2, 2, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7]
     np.save(tmp_path / "7.npy", STACK[0])
     np.save(tmp_path / "8.npy", STACK[1])
-    assert [frame.sequence for frame in open_recording(tmp_path)][10:] == [4, 4, 5, 5]
+    assert [frame.sequence for frame in open_recording(tmp_path)][12:] == [5, 5, 6, 6]
 
 
 def test_a_folder_of_recordings_is_one(tmp_path: Path) -> None:
