@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from label_networks import Nearer, Places
 from numpy.typing import NDArray
@@ -124,6 +124,18 @@ def test_other_cameras_are_resampled_by_nearest_pixels(camera: Camera) -> None:
     expected = frame.take(rows.astype(int), 0, mode="clip").take(columns.astype(int), 1, mode="clip")
     np.testing.assert_array_equal(seen[inside], expected[inside])
     assert (found > 0.99).all(), "all that is measured has an answer"
+
+
+@given(st.integers(1, 700), st.floats(-0.5, 1.5), st.floats(0.05, 8))
+@example(1008, 0.5, 0.0875)  # its last pixel lies half a pixel beyond the resampled image
+def test_every_pixel_has_a_place_in_the_resampled_image_and_none_lies_beyond(
+    side: int, middle: float, scale: float
+) -> None:
+    there, back = finder._resampled(side, middle * side, scale)
+    assert len(back) == side and back.min() >= 0 and back.max() < len(there)
+    (shown,) = np.nonzero(there < side)
+    assert there.min() >= 0 and there.max() <= side
+    assert np.abs(back[there[shown]] - shown).max(initial=0) <= scale / 2 + 1
 
 
 @pytest.mark.parametrize("focal_px", [60.0, 262.5, 700.0])
