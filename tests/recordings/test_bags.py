@@ -154,15 +154,17 @@ def test_topics_of_range_images_are_told_from_others(tmp_path: Path) -> None:
         open_recording(path, DEPTH)[0].read()
 
 
-def test_recordings_of_realsense_name_their_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("units", "step_m"), [(0.00025, 0.00025), (np.nan, 0.001), (1000.0, 0.001)])
+def test_recordings_of_realsense_name_their_unit(tmp_path: Path, units: float, step_m: float) -> None:
     sensor = "/device_0/sensor_0"
     sent = [
+        (f"{sensor}/option/Alternate_IR/value", "std_msgs/msg/Float32", {"data": 0.01}),
         camera_info(RAMP.shape, f"{sensor}/Depth_0/info/camera_info"),
-        (f"{sensor}/option/Depth_Units/value", "std_msgs/msg/Float32", {"data": 0.00025}),
+        (f"{sensor}/option/Depth_Units/value", "std_msgs/msg/Float32", {"data": units}),
         image(RAMP, "mono16", topic=f"{sensor}/Depth_0/image/data"),
     ]
     recording = open_recording(write_ros1(tmp_path / "a.bag", sent))
-    assert recording[0].step_m == pytest.approx(0.00025) and recording[0].camera is not None
+    assert recording[0].step_m == pytest.approx(step_m) and recording[0].camera is not None
     assert open_recording(tmp_path / "a.bag", step_m=1e-4)[0].step_m == 1e-4
 
 
@@ -182,7 +184,9 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
         rectified = camera_of(path, f"/camera/depth/{name}", d=bent)
         assert rectified.distortion is None and (rectified.fx, rectified.fy, rectified.cx) == (90, 90.5, 40)
     assert camera_of(path, "/camera/depth/image_direct", d=bent).distortion is not None
+    assert camera_of(path, "/camera/depth/image_rect", p=np.zeros(12)).fx == 100, "that of the matrix K"
     assert camera_of(path, k=np.zeros(9)) is None, "not calibrated"
+    assert [camera_of(path, height=60, width=side).size for side in (84, 0)] == [(60, 84), None]
     assert camera_of(path, model="equidistant", d=np.zeros(4)).distortion is None
     for wrong, message in (
         (
