@@ -16,7 +16,9 @@ import zstandard
 from bags import (
     DEPTH,
     INFO,
+    ROS2,
     Message,
+    built,
     camera_info,
     compressed,
     compressed_depth,
@@ -26,7 +28,7 @@ from bags import (
     write_ros2,
 )
 from damaged_recordings import reads_or_refuses
-from mcap.writer import CompressionType, IndexType
+from mcap.writer import CompressionType, IndexType, Writer
 from pngs import RAMP, png
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -152,6 +154,22 @@ def test_topics_of_range_images_are_told_from_others(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "d.mcap", [image(RAMP, "rgb8")])
     with pytest.raises(BadConfig, match="the encoding of an image must be one of 16UC1, mono16, 32FC1, found 'rgb8'"):
         open_recording(path, DEPTH)[0].read()
+
+
+def test_channels_of_other_encodings_are_left_alone(tmp_path: Path) -> None:
+    topic, kind, fields = image(RAMP, "16UC1")
+    data = bytes(ROS2.serialize_cdr(built(ROS2, kind, fields), kind))
+    text, _ = ROS2.generate_msgdef(kind, ros_version=2)
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(kind, "ros2msg", text.encode())
+        others = ("/a", "json", 0), ("/b", "protobuf", schema), ("/c", "cdr", 0)
+        for name, encoding, of in ((topic, "cdr", schema), *others):
+            writer.add_message(writer.register_channel(name, encoding, of), 10**9, data, 10**9)
+        writer.finish()
+    (frame,) = open_recording(tmp_path / "a.mcap")
+    np.testing.assert_array_equal(frame.read(), RAMP)
 
 
 @pytest.mark.parametrize(("units", "step_m"), [(0.00025, 0.00025), (np.nan, 0.001), (1000.0, 0.001)])
