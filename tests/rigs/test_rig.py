@@ -109,7 +109,7 @@ def test_a_rig_reaches_what_16_bits_hold_of_both_devices() -> None:
 
 
 def test_a_rig_survives_json() -> None:
-    rig = load_rig()
+    rig = replace(load_rig(), stand_off_m=0.5)
     assert rig_from_json(rig.to_json()) == rig
     assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig
     with pytest.raises(BadConfig, match="format"):
@@ -137,6 +137,8 @@ def test_a_stored_rig_is_read_as_strictly_as_a_file(change: dict[str, Any], mess
         rig_from_json({**tree, "camera": {}})
     with pytest.raises(BadConfig, match="^a stored rig: unknown 'lens'"):
         rig_from_json({**tree, "lens": 1})
+    with pytest.raises(BadConfig, match="^a rig's name must be one plain word of at most 40 letters, found 'a/b'"):
+        rig_from_json({**tree, "name": "a/b"})
 
 
 def test_another_rig_is_another_file(tmp_path: Path) -> None:
