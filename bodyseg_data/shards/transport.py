@@ -291,16 +291,19 @@ class BlockTransport:
     def put(self, address: str, content: Path | bytes) -> None:
         with _classified_errors():
             filesystem = self._filesystem.get()
+            # Of an address, fsspec's SFTP makes files and folders whose names hold all of it, the password, too.
+            path = filesystem._strip_protocol(address)
             if not getattr(filesystem, "async_impl", False):  # stores of objects are asynchronous, and have no folders
-                filesystem.makedirs(address.rpartition("/")[0], exist_ok=True)
+                filesystem.makedirs(path.rpartition("/")[0], exist_ok=True)
             if isinstance(content, bytes):
-                filesystem.pipe_file(address, content)
+                filesystem.pipe_file(path, content)
             else:
-                filesystem.put_file(str(content), address)
+                filesystem.put_file(str(content), path)
 
     def remove(self, address: str) -> None:
         with _classified_errors():
-            self._filesystem.get().rm_file(address)
+            filesystem = self._filesystem.get()
+            filesystem.rm_file(filesystem._strip_protocol(address))
 
 
 Transport = HttpTransport | BlockTransport

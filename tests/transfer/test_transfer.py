@@ -50,6 +50,26 @@ def breaking() -> Iterator[type[Breaking]]:
     Breaking.uploads_left, Breaking.alter = float("inf"), False
 
 
+class OfPaths(fsspec.get_filesystem_class("memory")):  # type: ignore[misc]
+    """A filesystem in memory that takes what it writes to for a path, as fsspec's own of SFTP does an address."""
+
+    protocol = "ofpaths"
+    store: ClassVar[dict[str, Any]] = {}
+    pseudo_dirs: ClassVar[list[str]] = [""]
+    written: ClassVar[set[str]] = set()
+
+    @classmethod
+    def _strip_protocol(cls, path: str) -> str:
+        return str(fsspec.utils.infer_storage_options(path)["path"])
+
+    def makedirs(self, path: str, exist_ok: bool = False) -> None:
+        self.written.add(path)
+
+    def put_file(self, lpath: str, rpath: str, **options: Any) -> None:
+        self.written.add(rpath)
+        self.pipe_file(rpath, Path(lpath).read_bytes())
+
+
 @pytest.fixture
 def mine(small_set: Path, tmp_path: Path) -> Path:
     """A copy of the small set, 3 shards, with a page."""
@@ -98,6 +118,13 @@ def test_a_set_goes_to_an_address_and_comes_back(
     for words in (["push", str(mine), "breaking://box/set"], ["pull", "breaking://box/set", str(back)]):
         assert main(words) == 0
         assert "3 were there, 0.0 MB copied\n" in capsys.readouterr().out
+
+
+def test_user_and_password_name_no_file_of_a_filesystem_that_takes_addresses_for_paths(mine: Path) -> None:
+    fsspec.register_implementation("ofpaths", OfPaths, clobber=True)
+    assert pushed(mine, "ofpaths://me:secret@host/box/set").copied_bytes
+    assert OfPaths.written == {"/box/set", *(f"/box/set/{path.name}" for path in mine.glob("*.tar"))}
+    assert sorted(OfPaths.store) == sorted(f"/box/set/{path.name}" for path in mine.iterdir())
 
 
 def test_a_set_goes_to_a_folder(mine: Path, tmp_path: Path) -> None:
