@@ -71,7 +71,7 @@ class Filesystem:
             kind = import_module("fsspec").get_filesystem_class(protocol)
             # Host, port and user, for protocols whose filesystem is bound to one server.
             options = {} if protocol in ("http", "https") else kind._get_kwargs_from_urls(self._address)
-            options |= self._options
+            options = import_module("fsspec.config").apply_config(kind, options | self._options)
             # Checked first: an object whose construction fails would print an error when it is deleted, too.
             inspect.signature(kind.__init__).bind(None, **options)
             filesystem = kind(skip_instance_cache=True, **options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -655,6 +656,24 @@ def test_an_address_that_cannot_be_opened_is_one_error_and_nothing_else_on_stand
 def test_host_and_port_of_an_address_reach_the_filesystem() -> None:
     with pytest.raises(BadConfig, match=r"ftp://127\.0\.0\.1:1/set: .*refused"):
         RemoteFolder("ftp://127.0.0.1:1/set", {}, RetryPolicy())
+
+
+def test_what_a_filesystem_cannot_do_without_may_be_in_fsspecs_configuration(
+    paper_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, expected: Any
+) -> None:
+    fsspec = pytest.importorskip("fsspec")
+
+    class Packed(fsspec.get_filesystem_class("zip")):  # type: ignore[misc]
+        protocol = "packed"
+
+        def __init__(self, archive: str, **options: Any) -> None:
+            super().__init__(archive, **options)
+
+    fsspec.register_implementation("packed", Packed, clobber=True)
+    archive = shutil.make_archive(str(tmp_path / "archive"), "zip", paper_set.parent, paper_set.name)
+    monkeypatch.setitem(fsspec.config.conf, "packed", {"archive": archive})
+    assert bits(RangeImages(f"packed://{paper_set.name}", "noise", cache_bytes=0)) == expected
+    assert main(["verify", f"packed://{paper_set.name}"]) == 0
 
 
 HUB = "hf://datasets/owner/name"
