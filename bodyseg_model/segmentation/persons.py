@@ -73,7 +73,7 @@ class SurfacePixels:
             pixels, person, confidence, z = pixels[measured], person[measured], confidence[measured], z[measured]
         self.pixels, self.person, self.confidence, self.z = pixels, person, confidence, z
         self.label = answer.labels.ravel().take(pixels)
-        self.keys = person * np.uint32(NUMBERS) + self.label
+        self.keys = person.astype(np.uint32) * NUMBERS + self.label  # NumPy 1 stays in 16 bits beside a scalar of 32
         narrow = pixels.astype(np.int32)
         self.row = narrow // np.int32(columns)
         self.column = narrow - self.row * np.int32(columns)
