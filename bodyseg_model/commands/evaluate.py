@@ -111,13 +111,13 @@ def _check(options: Options) -> None:
         if value is not None and value < least:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")
     training.use_threads(options.threads)
-    check_target(options.json, "--json")
-    if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
-        raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
     if options.figures is not None:
         new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
         make_folder(options.figures)
         check_target(options.figures / "parts.png", "--figures")
+    check_target(options.json, "--json")  # after the folder of figures was made, which may have this name
+    if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
+        raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
 
 
 def _open(options: Options, labels: str | LabelMap) -> list[loading.RangeImages]:

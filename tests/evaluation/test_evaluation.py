@@ -474,6 +474,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--seed", "-1"], "a seed must be a whole number from 0"),
         (["--json", "no/folder/x.json"], "--json needs a file in a folder that is there"),
         (["--figures", "file"], "cannot make the folder file"),
+        (["--json", "name", "--figures", "name"], "--json needs a file in a folder that is there, found name"),
     ],
 )
 def test_one_line_says_what_is_wrong(
