@@ -395,6 +395,13 @@ def test_help_and_refused_options_come_without_pytorch() -> None:
     """Which is most of the time that a command takes to begin."""
     statements = {"from bodyseg_model.commands.cli import main; main(['train', '--lr', 'high'])": {"torch", *HEAVY}}
     statements |= {f"main({[*name.split(), '--help']})": {"torch", *HEAVY} for name in COMMANDS}
+    missing = [
+        "segment /none --out x",
+        "sensor fit /none",
+        "evaluate --data x --json /none/x.json",
+        "view x --save /none",
+    ]
+    statements |= {f"main({words.split()})": {"torch", *HEAVY} for words in missing}
     assert not loaded_too_much(statements)
 
 

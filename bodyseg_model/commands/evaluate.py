@@ -110,7 +110,6 @@ def _check(options: Options) -> None:
     for name, value, least in (("images", options.images, 1), ("frames", options.frames, 0)):
         if value is not None and value < least:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")
-    training.use_threads(options.threads)
     if options.figures is not None:
         new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
         make_folder(options.figures)
@@ -118,6 +117,7 @@ def _check(options: Options) -> None:
     check_target(options.json, "--json")  # after the folder of figures was made, which may have this name
     if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
         raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
+    training.use_threads(options.threads)
 
 
 def _open(options: Options, labels: str | LabelMap) -> list[loading.RangeImages]:

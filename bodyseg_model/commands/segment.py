@@ -96,12 +96,12 @@ def run(options: Options) -> int:
 
 def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
-    training.use_threads(options.threads)
     step_m = None if options.units is None else metres_a_step(options.units)
+    frames = find_frames(options.frames, options.topic, step_m, options.skip_unreadable)
+    training.use_threads(options.threads)
     trained = runtimes.load_network(options.run, dense=options.dense)
     mode = options.background or segmentation.Background.usual(trained.label_map).mode
     background = segmentation.Background.of_options(mode, options.near, options.far)
-    frames = find_frames(options.frames, options.topic, step_m, options.skip_unreadable)
     labeller = segmentation.FrameLabeller(
         trained,
         background,

@@ -64,8 +64,9 @@ def run(options: Options) -> int:
     if options.picture is not None:
         check_picture(options.picture, "--picture")
     SensorModel(options.name)  # a bad name is told before the measurement
-    step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
+    step_m = None if options.units is None else metres_a_step(options.units)
     files, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
+    background = _background(options)
     camera = FrameCameras(files, options.rig, options.focal, options.centre, load_rig(), skipping).first
     quarters = _quarters(options, files, background, camera)
     recording = sensor_fit.read_recording(files, camera.camera, background, options.nearer_than, skipping, quarters)

@@ -43,8 +43,8 @@ class Options:
 def run(options: Options) -> int:
     """Measure the sweeps, write stability.json, then draw."""
     check_int("--images", options.images, 1)
-    threads = training.use_threads(options.threads)
     sweeps = stability.chosen(options.sweeps, options.hard is not None)
+    threads = training.use_threads(options.threads)
     device = networks.find_device(options.device)
     facts = provenance(command_line("bodyseg stability", options))  # first, as files may change meanwhile
     runs = stability.load_runs((*options.run, *options.reference))

@@ -110,9 +110,9 @@ class Options:
 
 def run(options: Options) -> int:
     """Train to the end."""
-    training.use_threads(options.threads)
     if options.only_template and options.pretrained is None:
         raise BadConfig("--only-template trains a head for a network that is trained: give that as --pretrained")
+    training.use_threads(options.threads)
     named = {each.name: getattr(options, each.name) for each in fields(training.Recipe) if hasattr(options, each.name)}
     recipe = training.recipe_for(
         options.recipe or networks.network_class(options.network).default_recipe,
