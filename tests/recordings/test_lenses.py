@@ -168,7 +168,12 @@ def test_focal_lengths_in_other_units_are_named(focal: float, hint: str, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("centre", "hint"), [((0.5, 0.5), "shares of the image"), ((319_500.0, -239_500.0), "in another unit")]
+    ("centre", "hint"),
+    [
+        ((0.5, 0.5), "shares of the image"),
+        ((319_500.0, -239_500.0), "in another unit"),
+        ((320.0, -239_500.0), "in another unit"),
+    ],
 )
 def test_a_principal_point_in_another_unit_is_named(centre: tuple[float, float], hint: str, tmp_path: Path) -> None:
     found = f"found {centre[0]:g} and {centre[1]:g} for images of 480 x 640: are they {hint}?"
@@ -181,3 +186,5 @@ def test_a_principal_point_in_another_unit_is_named(centre: tuple[float, float],
     ):
         frame_camera((480, 640), "x.png", rig=str(tmp_path / "r.toml"))
     assert frame_camera((48, 64), "x.png", focal_px=525.0, centre_px=(-1900.0, 1000.0)).camera.rows == 48
+    assert frame_camera((48, 64), "x.png", focal_px=60.0, centre_px=(0.9, 24.0)).camera.rows == 48, "as of a part"
+    assert frame_camera((3, 3), "x.png", focal_px=3.0).camera.centre_px == (1.5, 1.5)
