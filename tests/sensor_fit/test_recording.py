@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from PIL import Image
 from bodyseg_data.artifacts import Noise
 from bodyseg_data.artifacts.lost_pixels import PatchLoss
 from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_model.recordings import find_frames, frame_camera
+from bodyseg_model.recordings import Skipping, find_frames, frame_camera
 from bodyseg_model.segmentation import Background
 from bodyseg_model.sensor_fit import read_recording
 from bodyseg_model.sensor_fit.recording import chosen_frames
@@ -52,8 +53,19 @@ def test_frames_must_fit_and_show_a_body(tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="no frame shows a body: are --units, --near, --far or --nearer-than right"):
         read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0)
     save(tmp_path, "2", np.full((60, 81), 1000))
+    first, second = find_frames([tmp_path])
     with pytest.raises(BadConfig, match="the size of the first, 60 x 80, found 60 x 81: .*2.png"):
-        read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0)
+        read_recording([first, second], CAMERA, Background(), 2.0)
+    with pytest.raises(BadConfig, match="must have one unit, found 0.001 and 0.0001 m a step: .*2.png"):
+        read_recording([first, replace(second, step_m=1e-4)], CAMERA, Background(), 2.0)
+
+
+def test_frames_beside_one_that_is_skipped_are_no_neighbours(tmp_path: Path) -> None:
+    for name in "1345":
+        save(tmp_path, name, np.full((60, 80), 1000))
+    (tmp_path / "2.png").write_bytes(b"no PNG")
+    recording = read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0, Skipping(1))
+    assert len(recording.frames) == 4 and recording.pairs == ((1, 2), (2, 3))
 
 
 @pytest.mark.parametrize("package", ["scipy", "skimage"])
