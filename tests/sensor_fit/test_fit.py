@@ -57,7 +57,7 @@ def test_a_known_sensor_comes_back_as_a_file_that_can_be_read() -> None:
     assert found["mixed_pixels"].strengths["share"] == pytest.approx(0.5, rel=0.2)
     assert found["missing_data"].strengths["rates"][0] == pytest.approx(0.05, rel=0.1)
     assert found["noise"].strengths["low_mm"] == pytest.approx(4.0, rel=0.1)
-    assert fit.mirrored is False
+    assert fit.mirrored is False and "mirrored" not in fit.comments()[""]
     model = fit.model("mine", "My sensor")
     text = model.to_toml(fit.comments())
     assert parse_sensor_model(text, "text") == model and "# needed: " in text and "# stripe_loss: " in text

@@ -113,6 +113,14 @@ def test_each_frame_may_have_a_deviation_of_its_own() -> None:
     assert found.strengths["low_mm"] < 12 and 28 < found.strengths["high_mm"] < 60
 
 
+def test_each_frame_of_a_body_that_moves_may_have_one_too() -> None:
+    recording = recorded(Noise(0.0, 40.0), moving=True)
+    found, sigmas = measure_noise(recording), [1000 * frame.noise_m for frame in recording.frames]
+    assert found.verdict == NEEDED and "within frames" in found.reason and "its own deviation" in found.reason
+    ends = np.mean(sigmas) + np.array([-1, 1]) * np.sqrt(3) * np.std(sigmas, ddof=1)
+    assert [found.strengths["low_mm"], found.strengths["high_mm"]] == pytest.approx(np.maximum(ends, 0), rel=0.1)
+
+
 @pytest.mark.parametrize("sigma", [0.05, 0.25, 0.3, 1.0])
 def test_the_variance_about_the_truth_follows_from_differences_of_rounded_values(sigma: float) -> None:
     generator = np.random.default_rng(0)
