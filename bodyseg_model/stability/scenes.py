@@ -294,6 +294,9 @@ class Scenes:
                 artifact.optics(self.rig, 0.0)
             if condition.sweep == "farther":
                 self.rig.check_reach(condition.strength)
+            (low, high), away = DEPTHS_M, self.rig.stand_off_m
+            if condition.sweep == "depth_steps" and not low < away < high:  # all of a body would be at one end
+                raise BadConfig(f"its depths of {low:g} to {high:g} m must hold the rig's stand-off, found {away:g} m")
 
     def labelled_images(self, condition: SweepPoint) -> list[LabelledImage]:
         """Make the images of a condition, always in the same order. Raises BadConfig as `check`."""

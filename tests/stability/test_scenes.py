@@ -265,6 +265,18 @@ def test_bodies_farther_than_a_rigs_steps_reach_are_refused_before_any_sweep(
         evaluate_conditions([], conditions, Scenes(images, 1))
 
 
+@pytest.mark.parametrize("stand_off_m", [0.4, 6.0])
+def test_steps_of_depth_that_do_not_reach_a_rigs_bodies_are_refused(
+    images: RangeImages, monkeypatch: pytest.MonkeyPatch, stand_off_m: float
+) -> None:
+    """Every body would be flat, at 0.5 or 4.5 m."""
+    rig = replace(RIG, stand_off_m=stand_off_m)
+    monkeypatch.setattr(images, "manifest", replace(images.manifest, rigs=(rig,)))
+    wanted = f"'depth_steps' is to be left out with --sweeps: its depths of 0.5 to 4.5 m .* found {stand_off_m:g} m"
+    with pytest.raises(BadConfig, match=wanted):
+        evaluate_conditions([], SWEEPS["depth_steps"].conditions("depth_steps"), Scenes(images, 1))
+
+
 def test_strengths_are_those_of_the_sets_rig() -> None:
     assert of_rig(SWEEPS, RIG) == SWEEPS
     close = of_rig(SWEEPS, replace(load_rig("kinect_v1"), stand_off_m=1.5))
