@@ -332,8 +332,6 @@ def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
         fx, fy, cx, cy = matrix[0], matrix[4], matrix[2], matrix[5]
     if fx == 0:  # not calibrated
         return None
-    if not (fx > 0 and fy > 0):
-        raise BadConfig(f"{where}: focal lengths must be above 0, found {fx:g} and {fy:g}")
     size = (int(message.height), int(message.width)) if message.height and message.width else None
     return driver_camera(str(message.distortion_model), given, (fx, fy, cx, cy), size, where)
 

@@ -217,7 +217,10 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
         ({"roi": {"x_offset": 8}}, "images must be neither binned nor cut"),
         ({"roi": {"y_offset": 8}}, "images must be neither binned nor cut"),
         ({"k": np.array([-1.0, 0, 1, 0, 1, 1, 0, 0, 1])}, "focal lengths must be above 0"),
-        ({"k": np.array([1.0, 0, 1, 0, 0, 1, 0, 0, 1])}, "focal lengths must be above 0, found 1 and 0"),
+        (
+            {"k": np.array([1.0, 0, 1, 0, 0, 1, 0, 0, 1])},
+            "focal lengths must be above 0, and pixels square, found 'fx' 1 and 'fy' 0",
+        ),
     ):
         frames = with_info(path, **wrong)
         given = FrameCameras(frames, None, 100.0, (), load_rig(), Skipping())
