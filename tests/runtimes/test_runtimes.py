@@ -224,6 +224,7 @@ def test_the_quick_precision_is_one_that_the_backend_has(monkeypatch: pytest.Mon
         *["bfloat16"] * 3,
         None,
     ]
+    assert quick_precision(on_backend(network, "onnxruntime"), None, "cpu") is None, "as an .onnx file is"
     with pytest.raises(BadConfig, match=r"^the backend must be one of torch, onnxruntime, openvino, found 'caffe'$"):
         quick_precision(network, "caffe", "cpu")
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
