@@ -63,11 +63,11 @@ def colour_range(
 ) -> NDArray[np.uint8]:
     """Colour a range image [H, W], in steps or metres, as sRGB uint8 [H, W, 3]: light at `near`, dark at `far`.
 
-    near, far: in the unit of the image, by default its own ends.
+    near, far: in the unit of the image, by default its own ends. A tensor of a batch may be given as it is.
     """
     ends = span_of(image)
     near, far = ends[0] if near is None else near, ends[1] if far is None else far
-    colours = colour_shares((image.astype(np.float64) - near) / ((far - near) or 1), _RAMP)
+    colours = colour_shares((np.asarray(image, np.float64) - near) / ((far - near) or 1), _RAMP)
     colours[image == 0] = EMPTY
     return colours
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from bodyseg_data.drawing import EMPTY, PAPER, colour_range, colour_shares, contact_sheet, draw_legend
@@ -27,6 +28,7 @@ def test_ranges_are_light_near_and_dark_far_and_empty_where_there_is_none() -> N
     light, middle, dark = (contact_sheet._RAMP[place].tolist() for place in (0, 3, 6))
     for image in (np.array([[0, 1000, 2000, 3000]], np.uint16), np.array([[0, 1, 2, 3]], np.float32)):
         assert colour_range(image)[0].tolist() == [list(EMPTY), light, middle, dark]
+        np.testing.assert_array_equal(colour_range(torch.tensor(image.astype(np.float32))), colour_range(image))
         assert colour_range(image, far=image[0, 2])[0].tolist() == [list(EMPTY), light, dark, dark]
         assert colour_range(image, near=image[0, 2])[0].tolist() == [list(EMPTY), light, light, dark]
     assert contact_sheet.span_text(np.array([[0, 1500, 4000]], np.uint16), 0.0005) == "0.75 to 2.00 m"
