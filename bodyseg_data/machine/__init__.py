@@ -6,7 +6,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.machine.host import computes_bfloat16, hardware, keep_freed_memory, peak_mb, processors
-    from bodyseg_data.machine.kernels import compile_ahead, compiled, if_ready, loops, use_compiled
+    from bodyseg_data.machine.kernels import compiled, if_ready, loops, use_compiled
     from bodyseg_data.machine.libraries import (
         SOFTWARE_DRIVER,
         compress,

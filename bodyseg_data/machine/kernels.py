@@ -187,23 +187,13 @@ class _Kept:
                 self.files[0].save_overload(signature, code)
 
 
-def compile_ahead(first: Any, work: Callable[[], None]) -> None:
-    """Have another process compile the loops that `work`, a module's function, calls, while this one compiles others,
-    and then waits for those; nothing where `first`, one of these loops, has machine code.
-    """
-    files = first._cache.files
-    with contextlib.suppress(OSError):
-        if files is not None and not any(files[1].rglob("*.nbc")):
-            _send(files[1], work, None)
-
-
 _COMPILING: Final = "compiling"
 _processes: list[subprocess.Popen[bytes]] = []
 _failed: list[Any] = []  # signatures that another process failed to compile; from then on this one compiles
 
 
 def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subprocess.Popen[bytes]:
-    """Start a process that compiles a module's function for types of arguments, or calls it if they are None."""
+    """Start a process that compiles a module's function for types of arguments."""
     paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", f"from {__name__} import compile_sent; compile_sent()"],
@@ -221,7 +211,7 @@ def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subproc
 
 
 def compile_sent() -> None:
-    """Do what `_send` has sent, unless another process compiles already; ends with an error if code cannot be kept."""
+    """Compile what `_send` has sent, unless another process does already; ends with an error if it cannot be kept."""
     folder, module, name = pickle.load(sys.stdin.buffer)
     with _locked(Path(folder) / _COMPILING) as free:
         if not free:
@@ -230,9 +220,6 @@ def compile_sent() -> None:
         _given.append(Path(folder).parent)
         signature = pickle.load(sys.stdin.buffer)
         found = getattr(import_module(module), name)
-        if signature is None:
-            found()
-            return
         function = found if hasattr(found, "py_func") else compiled(found, "compiling")
         function.compile(signature)
         if function._cache.kept(signature, function.targetctx) is None:

@@ -25,7 +25,7 @@ from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
 from bodyseg_model.segmentation.joints import found_joints
 from bodyseg_model.segmentation.persons import Records, SurfacePixels
-from bodyseg_model.segmentation.views import BodyView, compile_loops, metres_of, usual_views, view_body, view_frame
+from bodyseg_model.segmentation.views import BodyView, metres_of, usual_views, view_body, view_frame
 
 STAGES: Final = ("find", "resample", "network", "back", "video")
 _SURE: Final = 0.8  # mean confidence; less have at most 3 of 276 images of people who stand, and half of those who lie
@@ -261,7 +261,6 @@ class Segmenter:
         if camera.distortion is not None:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
         required("numba", "labelling frames", "segment")
-        compile_loops()
         _compute_alone_in_forks()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.quarters, self._upright = quarters % 4, camera.turned(quarters)

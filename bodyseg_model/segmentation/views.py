@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.machine import compile_ahead
-from bodyseg_data.rigs import Camera, Distortion, Rig, load_rig
+from bodyseg_data.rigs import Camera, Distortion, Rig
 from bodyseg_data.samples import FARTHEST_STEPS
 from bodyseg_model.recordings import check_metres
 
@@ -191,20 +190,6 @@ def _in_steps(trained: int, needed: int) -> int:
 def compiled_loops() -> Any:
     """The compiled loops over pixels, in a module that needs numba."""
     return import_module("bodyseg_model.segmentation.pixel_loops")
-
-
-@cache
-def compile_loops() -> None:
-    """Have another process compile the loops of views and labels, while this one compiles other loops; once."""
-    compile_ahead(compiled_loops().fill_lost, _label_once)
-
-
-def _label_once() -> None:
-    from bodyseg_model.networks import label_pixels  # needs numba
-
-    rig, image = load_rig(), np.ones((2, 2), np.float32)
-    view_body(image, np.arange(1), rig.camera, rig)
-    label_pixels(np.zeros((1, 1, 1, 2), np.float32), image[None], 2, np.zeros((1, 2, 2), np.uint8), image[None].copy())
 
 
 class Turn(NamedTuple):
