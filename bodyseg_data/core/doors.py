@@ -77,19 +77,27 @@ def signals_held(only_first: bool = False) -> Iterator[None]:
     def put_off(number: int, frame: FrameType | None) -> None:
         if came and only_first:
             restore()
-            signal.raise_signal(came.pop())
+            handle(came.pop())
         else:
             came.append(number)
+
+    def handle(number: int) -> None:
+        if callable(action := before[number]):  # asyncio has heard of the signal, and would of another, too
+            action(number, sys._getframe())
+        else:
+            signal.raise_signal(number)
 
     def restore() -> None:
         for number, action in before.items():
             signal.signal(number, action)
 
     # None: a handler of the program that embeds Python, such as Blender; it could not be set again.
-    before = {number: signal.signal(number, put_off) for number in ENDING if signal.getsignal(number) is not None}
+    before: dict[int, Any] = {
+        each: signal.signal(each, put_off) for each in ENDING if signal.getsignal(each) is not None
+    }
     try:
         yield
     finally:
         restore()
         for late in came:
-            signal.raise_signal(late)
+            handle(late)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 import py_compile
 import signal
@@ -15,7 +16,7 @@ import pytest
 import bodyseg_data
 import bodyseg_model
 from bodyseg_data.core import BodysegError
-from bodyseg_data.core.doors import lazy_door
+from bodyseg_data.core.doors import lazy_door, signals_held
 
 DOOR = """
 from __future__ import annotations
@@ -72,6 +73,18 @@ def test_an_interrupt_waits_until_a_file_is_imported(house: ModuleType) -> None:
         for number, handler in before.items():
             signal.signal(number, handler)
     assert sys.modules["house.shed"].whole and house.whole
+
+
+def test_asyncio_hears_once_of_a_signal_that_is_put_off() -> None:
+    async def told() -> list[str]:
+        heard = list[str]()
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, heard.append, "ended")
+        with signals_held():
+            signal.raise_signal(signal.SIGTERM)
+        await asyncio.sleep(0.05)
+        return heard
+
+    assert asyncio.run(told()) == ["ended"]
 
 
 def test_other_names_are_refused(house: ModuleType) -> None:
