@@ -71,15 +71,15 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         status = _run(program, commands, name, words)
         sys.stdout.flush()
         return status
+    except BrokenPipeError:
+        _leave_stdout()
+        return 141
+    except _interrupt():
+        return _ended(f"{program}{name}")
     except BodysegError as error:
         if os.environ.get("BODYSEG_TRACEBACK") and hasattr(error, "__notes__"):  # of a user's code, or in a worker
             raise
         return _say(f"{program}{name}", str(error), 2)
-    except KeyboardInterrupt:
-        return _ended(f"{program}{name}")
-    except BrokenPipeError:
-        _leave_stdout()
-        return 141
     except OSError as error:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
@@ -90,8 +90,6 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{program}{name}", f"{where}{error.strerror or error}", 2)
     except Exception as error:
-        if _came:  # where C has called Python, as LLVM does, the interrupt has become another error
-            return _ended(f"{program}{name}")
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
         if isinstance(error, UnicodeEncodeError) and error.encoding == "utf-8":  # of a library that opens files itself
@@ -131,6 +129,11 @@ def _stop(number: int, frame: Any) -> None:
         signal.signal(again, signal.SIG_IGN)
     _came.append(number)
     raise KeyboardInterrupt
+
+
+def _interrupt() -> type[BaseException]:
+    """What an interrupt may arrive as: where C has called Python, as LLVM does, it becomes another error."""
+    return BaseException if _came else KeyboardInterrupt
 
 
 def _ended(command: str) -> int:

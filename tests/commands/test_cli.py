@@ -331,16 +331,21 @@ def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
 
 
+@pytest.mark.parametrize("error", [SystemError, BadConfig])  # the second where it is about an artifact
 @pytest.mark.parametrize(("number", "said"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
 def test_an_interrupt_that_c_has_made_another_error_of_is_one(
-    number: signal.Signals, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    number: signal.Signals,
+    said: str,
+    error: type[Exception],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """As by a second Ctrl-C while LLVM, which calls Python, compiles a loop."""
 
     def compiling(options: object) -> int:
         with contextlib.suppress(KeyboardInterrupt):
             signal.raise_signal(number)
-        raise SystemError("a callback has raised")
+        raise error("a callback has raised")
 
     monkeypatch.setattr(verify, "run", compiling)
     before = signal.signal(number, signal.default_int_handler)  # ignored where tests run in the background
