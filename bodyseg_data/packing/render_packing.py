@@ -49,7 +49,7 @@ def pack_renders(
     Raises BadSample for the first render that breaks a rule, and as `ShardWriter`.
     """
     if projector == "none":
-        source.leave_out_projector()
+        source = source.without_projector()
     keys = source.keys()
     checked = frozenset(keys[:_CHECKED])
 

@@ -3,9 +3,10 @@
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,7 @@ class RenderSource(ABC):
         classes: Classes | None = None,
         rigs: Mapping[str, Rig] | None = None,
     ) -> None:
-        self._content, self._rows, self._files = content, rows, dict(files)
+        self._content, self._rows, self._files = content, rows, files
         self._said = repr(replace(content, path=Path(), rigs={}))
         for found in files.values():
             _check_partners(files[RANGE], found)
@@ -112,9 +113,11 @@ class RenderSource(ABC):
         """Return the keys of all renders, in their order."""
         return self._keys
 
-    def leave_out_projector(self) -> None:
-        """Read no images of the projector from now on."""
-        self._files.pop(PROJECTOR, None)
+    def without_projector(self) -> Self:
+        """These renders without the projector's images, which are not read."""
+        others = copy(self)
+        others._files = {kind: files for kind, files in self._files.items() if kind != PROJECTOR}
+        return others
 
     def split(self, key: str) -> Split:
         """Return the split of one of `keys()`, without reading its images."""

@@ -414,6 +414,9 @@ def test_what_systems_leave_in_folders_is_no_image(tmp_path: Path) -> None:
 
 def test_images_of_the_projector_that_are_not_stored_are_not_read(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell")
+    source = open_renders(folder)
+    assert pack_renders(source, tmp_path / "clean", "bsi", "none", 2, 0).projector == "none"
+    assert pack_renders(source, tmp_path / "lit", "bsi", None, 2, 0).projector != "none", "the caller's stay whole"
     for path in (folder / "projector").iterdir():
         path.write_bytes(b"damaged")
     assert packed(folder, "--projector", "none", variant="none").manifest.projector == "none"
