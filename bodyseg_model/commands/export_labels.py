@@ -181,10 +181,11 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
         label_map = label_map_from_json(summary["labels"], f"{folder / segmentation.SUMMARY}, labels")
         each = [(str(at["name"]), str(at["path_id"])) for at in summary["each"]]
         times = [at.get("time_s") for at in summary["each"]]
+        skipped = len(summary.get("skipped", ()))  # among them recordings that cannot be opened
         tracks = [{n: b["track"] for n, b in enumerate(at["bodies"], 1) if "track" in b} for at in summary["each"]]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadConfig(f"{folder / segmentation.SUMMARY} is none of `bodyseg segment`: {error!r}") from error
-    given = find_frames(options.frames, options.topic, summary.get("given_unit_m")) if options.frames else []
+    given = find_frames(options.frames, options.topic, summary.get("given_unit_m"), skipped) if options.frames else []
     frames = {each.path_id: each for each in given}
 
     def images() -> Images:

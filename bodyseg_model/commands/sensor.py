@@ -47,7 +47,7 @@ class Options:
         "what is a body; people: as segment finds them; limits: all from --near to --far; keep, frame: all measured",
         "people",
     )
-    skip_unreadable: int = option("skip up to this many frames that cannot be read", 0)
+    skip_unreadable: int = option("skip up to this many frames that cannot be read, or recordings that do not open", 0)
     near: float | None = option("with people or limits: what is nearer is background, metres (default: 0.4)", None)
     far: float | None = option("with people or limits: what is farther is background, metres (default: 6)", None)
     nearer_than: float | None = option("all nearer than this, metres, is a body of any size; no --background", None)
@@ -65,7 +65,8 @@ def run(options: Options) -> int:
         check_picture(options.picture, "--picture")
     SensorModel(options.name)  # a bad name is told before the measurement
     step_m = None if options.units is None else metres_a_step(options.units)
-    files, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
+    skipping = Skipping(options.skip_unreadable)
+    files = find_frames(options.frames, options.topic, step_m, skipping.budget)
     background = _background(options)
     camera = FrameCameras(files, options.rig, options.focal, options.centre, load_rig(), skipping).first
     quarters = _quarters(options, files, background, camera)

@@ -208,6 +208,17 @@ def test_a_recording_that_cannot_be_opened_is_skipped_like_a_frame(
     facts = report(tmp_path / "out")
     assert [frame["file"] for frame in facts["skipped"]] == [str(bags[1])] and facts["frames"] == 10
     np.testing.assert_array_equal(labels(tmp_path / "out", facts["each"][-1]["name"]) != BACKGROUND, STACK[4] == 2000)
+    words_of_export = [
+        "export-labels",
+        "--in",
+        tmp_path / "out",
+        "--out",
+        tmp_path / "png",
+        "--format",
+        "png",
+        "--frames",
+    ]
+    assert cli.main([*map(str, words_of_export), *map(str, words[:-3])]) == 0
     bags[2].write_bytes(b"")
     said = refused(capsys, *words, "1")
     assert f"{bags[2]}: " in said and said.endswith(", after 1 that --skip-unreadable allowed")
@@ -237,6 +248,9 @@ def test_a_sensor_is_fitted_to_a_bag(tmp_path: Path, capsys: pytest.CaptureFixtu
     captured = capsys.readouterr()
     assert json.loads(captured.out)["frames"] == 4 and "assumed" not in captured.err
     assert f"skipped {bag}: {DEPTH}, frame 1: an image of" in captured.err
+    (cut := tmp_path / "cut.mcap").write_bytes(bag.read_bytes()[:40])
+    assert cli.main([*words[:2], str(cut), *words[2:], "--skip-unreadable", "2"]) == 0
+    assert f"skipped {cut}: must be a whole MCAP file" in capsys.readouterr().err
     np.save(tmp_path / "c.npy", STACK.astype(np.float32) / 1000)
     assert cli.main(["sensor", "fit", str(tmp_path / "c.npy"), str(bag), "--focal", "100", "--nearer-than", "3"]) == 2
     assert "frames must have one unit, found 0.00025 and 0.001 m a step" in capsys.readouterr().err
