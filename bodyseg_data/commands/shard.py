@@ -67,8 +67,7 @@ class Options:
         "layout of the folder (default: found from its files)", None, heading="Renders (--source renders)"
     )
     projector: ProjectorKind | None = option(
-        "what to store of the projector's range (default: shadow: what its shadow needs, if there is any)",
-        None,
+        "what to store of the projector's range (default: shadow: what its shadow needs, if there is any)", None
     )
     samples: int | None = option("number of rooms", None, heading="Rooms (--source rooms)")
     split: Split = option("split that all rooms, and the people in them, belong to", "train")

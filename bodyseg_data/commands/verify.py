@@ -5,21 +5,10 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from bodyseg_data import shards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadShard
-from bodyseg_data.shards import (
-    LocalFolder,
-    Manifest,
-    Store,
-    column_names,
-    column_tar,
-    find_column_faults,
-    find_faults,
-    find_index_faults,
-    open_store,
-    read_manifest,
-)
 
 EXAMPLE = "bodyseg verify shards"
 
@@ -31,11 +20,11 @@ class Options:
 
 def run(options: Options) -> int:
     """Print one line a fault and return 1, or a line without faults and return 0."""
-    store, pattern = open_store(options.folder)
+    store, pattern = shards.open_store(options.folder)
     if pattern != "*":
         raise BadConfig(f"a whole set is verified, found {pattern!r} at the end of its path")
     try:
-        manifest = read_manifest(store)
+        manifest = shards.read_manifest(store)
     except BadShard as error:
         sys.stdout.write(f"{error}\n")
         return 1
@@ -51,25 +40,25 @@ def run(options: Options) -> int:
         return 1
     size, held = sum(shard.size for shard in manifest.shards), f"{manifest.samples()} samples"
     sys.stdout.write(f"{store.name}: {held} in {len(manifest.shards)} shards, {size / 1e6:.1f} MB: no fault\n")
-    if columns := column_names(store):
+    if columns := shards.column_names(store):
         sys.stdout.write(f"columns: {', '.join(columns)}: no fault\n")
     return 0
 
 
-def _faults(store: Store, manifest: Manifest) -> Iterator[object]:
+def _faults(store: shards.Store, manifest: shards.Manifest) -> Iterator[object]:
     """Find faults of index, shards and columns, and tars of no shard and no column, which a local folder can list."""
-    yield from find_index_faults(store, manifest)
+    yield from shards.find_index_faults(store, manifest)
     with Progress("verifying", "samples") as progress:
         done, total = 0, manifest.samples()
         for shard in manifest.shards:
-            yield from find_faults(store, manifest, shard)
+            yield from shards.find_faults(store, manifest, shard)
             done += len(shard)
             progress.update(done, total)
-    yield from find_column_faults(store, manifest)
-    if not isinstance(store, LocalFolder):
+    yield from shards.find_column_faults(store, manifest)
+    if not isinstance(store, shards.LocalFolder):
         return
     listed = {shard.name for shard in manifest.shards}
     with contextlib.suppress(BadShard):  # which was printed
-        listed |= {column_tar(name, column) for column in column_names(store) for name in listed}
+        listed |= {shards.column_tar(name, column) for column in shards.column_names(store) for name in listed}
     for name in sorted(path.name for path in store.path.glob("[!.]*.tar") if path.name not in listed):
         yield f"{name}: -: offset 0: not in the manifest"

@@ -17,16 +17,7 @@ from bodyseg_data.renders.blenderproc import ENDINGS, BlenderProcRenders
 from bodyseg_data.renders.images import SUFFIXES, read_array
 from bodyseg_data.renders.isaac import AXIS, RAY, IsaacRenders, frames
 from bodyseg_data.renders.set_file import SetFile, read_rows, read_set
-from bodyseg_data.renders.source import (
-    FACING,
-    LABELS,
-    NORMALS,
-    PROJECTOR,
-    RANGE,
-    RenderSource,
-    Stored,
-    by_key,
-)
+from bodyseg_data.renders.source import FACING, LABELS, NORMALS, PROJECTOR, RANGE, RenderSource, Stored, by_key
 
 _PLANES = "planes"
 

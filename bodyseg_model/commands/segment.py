@@ -16,17 +16,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import rig_names
-from bodyseg_model import runtimes, segmentation, sensor_fit, training
-from bodyseg_model.recordings import (
-    CENTRE_HELP,
-    FOCAL_HELP,
-    RECORDINGS_HELP,
-    UNITS_HELP,
-    LabelsOut,
-    find_frames,
-    labels_out,
-    metres_a_step,
-)
+from bodyseg_model import recordings, runtimes, segmentation, sensor_fit, training
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
@@ -38,7 +28,7 @@ _SHADOW_FRAMES: Final = 8  # number of frames whose shadows tell whether a recor
 
 @dataclass(frozen=True)
 class Options:
-    frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
+    frames: tuple[Path, ...] = option(recordings.RECORDINGS_HELP, positional=True)
     out: Path = option("folder that gets labels, persons, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)
     points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
@@ -52,10 +42,10 @@ class Options:
     topic: str | None = option(
         "topic of a bag or array of an NPZ file (default: the only one of frames)", None, heading="Frames and camera"
     )
-    units: str | None = option(UNITS_HELP, None)
+    units: str | None = option(recordings.UNITS_HELP, None)
     rig: str | None = option(f"camera of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option(FOCAL_HELP, None)
-    centre: tuple[float, ...] = option(CENTRE_HELP, ())
+    focal: float | None = option(recordings.FOCAL_HELP, None)
+    centre: tuple[float, ...] = option(recordings.CENTRE_HELP, ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
     turned: segmentation.Turned | None = option(f"{segmentation.TURNED_HELP} (default: the rig's roll)", None)
     background: segmentation.BackgroundMode | None = option(
@@ -96,8 +86,8 @@ def run(options: Options) -> int:
 
 def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
-    step_m = None if options.units is None else metres_a_step(options.units)
-    frames = find_frames(options.frames, options.topic, step_m, options.skip_unreadable)
+    step_m = None if options.units is None else recordings.metres_a_step(options.units)
+    frames = recordings.find_frames(options.frames, options.topic, step_m, options.skip_unreadable)
     training.use_threads(options.threads)
     trained = runtimes.load_network(options.run, dense=options.dense)
     mode = options.background or segmentation.Background.usual(trained.label_map).mode
@@ -189,14 +179,16 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     return 1 if unopened else 0
 
 
-def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractContextManager[LabelsOut | None]:
+def _labels_out(
+    options: Options, label_map: LabelMap
+) -> contextlib.AbstractContextManager[recordings.LabelsOut | None]:
     if options.labels_out is None:
         if options.points:
             raise BadConfig("--points are written beside labels: give --labels-out, too")
         return contextlib.nullcontext()
     if any(options.labels_out.resolve().is_relative_to(each.resolve()) for each in (options.out, *options.frames)):
         raise BadConfig(f"--labels-out must lie outside --out and the frames, found {options.labels_out}")
-    return labels_out(options.labels_out, label_map, options.fps)
+    return recordings.labels_out(options.labels_out, label_map, options.fps)
 
 
 def _remarks(

@@ -13,35 +13,23 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_result
 from bodyseg_data.rigs import load_rig, rig_names
-from bodyseg_model import segmentation, sensor_fit, training
-from bodyseg_model.recordings import (
-    CENTRE_HELP,
-    FOCAL_HELP,
-    RECORDINGS_HELP,
-    UNITS_HELP,
-    Frame,
-    FrameCamera,
-    FrameCameras,
-    Skipping,
-    find_frames,
-    metres_a_step,
-)
+from bodyseg_model import recordings, segmentation, sensor_fit, training
 
 EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sensor.toml"
 
 
 @dataclass(frozen=True)
 class Options:
-    frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
+    frames: tuple[Path, ...] = option(recordings.RECORDINGS_HELP, positional=True)
     out: Path | None = option("write the sensor model to this .toml file", None)
     picture: Path | None = option("draw a frame beside its simulation into this PNG file", None)
     json: bool = option("print all figures as JSON, in place of the table of verdicts", False)
     name: str = option("name for the sensor model, one word", "measured")
     topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
-    units: str | None = option(UNITS_HELP, None)
+    units: str | None = option(recordings.UNITS_HELP, None)
     rig: str | None = option(f"sensor of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option(FOCAL_HELP, None)
-    centre: tuple[float, ...] = option(CENTRE_HELP, ())
+    focal: float | None = option(recordings.FOCAL_HELP, None)
+    centre: tuple[float, ...] = option(recordings.CENTRE_HELP, ())
     turned: segmentation.Turned | None = option(f"{segmentation.TURNED_HELP} (default: the rig's roll)", None)
     background: segmentation.BackgroundMode = option(
         "what is a body; people: as segment finds them; limits: all from --near to --far; keep, frame: all measured",
@@ -64,11 +52,11 @@ def run(options: Options) -> int:
     if options.picture is not None:
         check_picture(options.picture, "--picture")
     SensorModel(options.name)  # a bad name is told before the measurement
-    step_m = None if options.units is None else metres_a_step(options.units)
-    skipping = Skipping(options.skip_unreadable)
-    files = find_frames(options.frames, options.topic, step_m, skipping.budget)
+    step_m = None if options.units is None else recordings.metres_a_step(options.units)
+    skipping = recordings.Skipping(options.skip_unreadable)
+    files = recordings.find_frames(options.frames, options.topic, step_m, skipping.budget)
     background = _background(options)
-    camera = FrameCameras(files, options.rig, options.focal, options.centre, load_rig(), skipping).first
+    camera = recordings.FrameCameras(files, options.rig, options.focal, options.centre, load_rig(), skipping).first
     quarters = _quarters(options, files, background, camera)
     recording = sensor_fit.read_recording(files, camera.camera, background, options.nearer_than, skipping, quarters)
     with Progress("measuring", "steps") as progress:
@@ -98,7 +86,9 @@ def run(options: Options) -> int:
     return 0
 
 
-def _quarters(options: Options, files: list[Frame], background: segmentation.Background, camera: FrameCamera) -> int:
+def _quarters(
+    options: Options, files: list[recordings.Frame], background: segmentation.Background, camera: recordings.FrameCamera
+) -> int:
     """Right angles by which frames are turned clockwise, as `bodyseg segment` turns them."""
     if options.turned != "auto":
         return round(camera.camera.roll_deg / 90) if options.turned is None else int(options.turned) // 90

@@ -4,21 +4,11 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from bodyseg_data import transfer
 from bodyseg_data.commands import Progress, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
 from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store
-from bodyseg_data.transfer import (
-    Bundle,
-    LocalTarget,
-    RemoteTarget,
-    SharedFile,
-    Target,
-    pages_of,
-    read_page,
-    set_bundle,
-    transfer,
-)
 from bodyseg_model.networks import CardWords, RunFiles, confusion_file
 
 
@@ -37,7 +27,7 @@ class Push:
         """Copy, and print one line on what was copied."""
         if (options.what / MANIFEST_NAME).exists():
             folder = options.what
-            bundle = set_bundle(LocalFolder(folder))
+            bundle = transfer.set_bundle(LocalFolder(folder))
         else:
             weights = network_file(options.what)
             folder = weights.parent
@@ -45,11 +35,11 @@ class Push:
         store, pattern = open_store(options.address)
         if pattern != "*":
             raise BadConfig(f"a copy needs the address of a folder, found {pattern!r} at its end")
-        target: Target
+        target: transfer.Target
         if isinstance(store, RemoteFolder):
-            target = RemoteTarget(store, folder)
+            target = transfer.RemoteTarget(store, folder)
         else:
-            target = LocalTarget(Path(store.name), LocalFolder(folder))
+            target = transfer.LocalTarget(Path(store.name), LocalFolder(folder))
         _copy(bundle, target, "pushing", options.replace, options.sizes_only)
         return 0
 
@@ -69,7 +59,7 @@ class Pull:
     def run(options: Options) -> int:
         """Copy, and print one line on what was copied."""
         store, bundle = _bundle_at(options.address)
-        _copy(bundle, LocalTarget(options.folder, store), "pulling", options.replace)
+        _copy(bundle, transfer.LocalTarget(options.folder, store), "pulling", options.replace)
         return 0
 
 
@@ -91,7 +81,7 @@ def page_file(path: Path) -> Path:
     return path / "README.md" if path.is_dir() else path.with_suffix(".md")
 
 
-def _bundle_at(address: str) -> tuple[Store, Bundle]:
+def _bundle_at(address: str) -> tuple[Store, transfer.Bundle]:
     """Open the store at an address, and find the set or network there."""
     path, mark, query = address.partition("?") if address.startswith(("http://", "https://")) else (address, "", "")
     weights = path.rpartition("/")[2] if path.endswith(".safetensors") else ""
@@ -102,12 +92,12 @@ def _bundle_at(address: str) -> tuple[Store, Bundle]:
     store, pattern = open_store(address)
     if pattern != "*":
         raise BadConfig(f"a whole set is copied, found {pattern!r} at the end of its address")
-    if pages_of(store, (Path(RunFiles.NETWORK).with_suffix(".json").name,)):
+    if transfer.pages_of(store, (Path(RunFiles.NETWORK).with_suffix(".json").name,)):
         return store, _network_bundle(store, RunFiles.NETWORK)
-    return store, set_bundle(store)
+    return store, transfer.set_bundle(store)
 
 
-def _network_bundle(store: Store, weights: str) -> Bundle:
+def _network_bundle(store: Store, weights: str) -> transfer.Bundle:
     """Return the bundle of a network: weights, page and confusion matrix, card.
 
     weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
@@ -115,22 +105,24 @@ def _network_bundle(store: Store, weights: str) -> Bundle:
     """
     file = Path(weights)
     index = file.with_suffix(".json").name
-    data = read_page(store, index)
+    data = transfer.read_page(store, index)
     card = parse_json(data, f"{store.name}/{index}")
     digest = card.get(CardWords.WEIGHTS_SHA256)
     if card.get("format") != CardWords.FORMAT or not isinstance(digest, str):
         raise BadConfig(f"{store.name}/{index} is no card of a network with {CardWords.WEIGHTS_SHA256!r}")
     page = "README.md" if weights == RunFiles.NETWORK else page_file(file).name
     scores = confusion_file(file).name
-    pages = pages_of(store, (page, scores))
-    return Bundle((SharedFile(weights, store.size(weights), digest),), index, data, pages, (scores,))
+    pages = transfer.pages_of(store, (page, scores))
+    return transfer.Bundle((transfer.SharedFile(weights, store.size(weights), digest),), index, data, pages, (scores,))
 
 
-def _copy(bundle: Bundle, target: Target, title: str, replace: bool, sizes_only: bool = False) -> None:
+def _copy(
+    bundle: transfer.Bundle, target: transfer.Target, title: str, replace: bool, sizes_only: bool = False
+) -> None:
     """Copy a bundle with progress, and say what was done."""
     with Progress(title, "MB") as progress:
         total = round(bundle.size / 1e6)
-        outcome = transfer(
+        outcome = transfer.transfer(
             bundle, target, lambda done: progress.update(min(round(done / 1e6), total), total), replace, sizes_only
         )
     files = "1 file" if outcome.files == 1 else f"{outcome.files} files"

@@ -9,11 +9,7 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.carried_labels import CarriedLabels
     from bodyseg_model.segmentation.finder import Background, find_bodies
-    from bodyseg_model.segmentation.frame_labeller import (
-        FrameLabeller,
-        LabelledFrame,
-        LabelledRecording,
-    )
+    from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame, LabelledRecording
     from bodyseg_model.segmentation.joints import JOINTS
     from bodyseg_model.segmentation.output_folder import SUMMARY, UNFINISHED, FrameResults, ImageKind, OutputFolder
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay

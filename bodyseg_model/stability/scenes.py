@@ -15,16 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import (
-    SHAPES,
-    Artifact,
-    MissingData,
-    MixedPixels,
-    Noise,
-    PhaseShift,
-    lit_pixels,
-    shown_with,
-)
+from bodyseg_data.artifacts import SHAPES, Artifact, MissingData, MixedPixels, Noise, PhaseShift, lit_pixels, shown_with
 from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_choice, reported, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
