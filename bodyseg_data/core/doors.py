@@ -11,10 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
 from types import CodeType, FrameType, SimpleNamespace
-from typing import Any, Final
-
-ENDING: Final = (signal.SIGINT, signal.SIGTERM)
-"""Signals that ask a command to end."""
+from typing import Any
 
 
 def lazy_door(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -92,9 +89,8 @@ def signals_held(only_first: bool = False) -> Iterator[None]:
             signal.signal(number, action)
 
     # None: a handler of the program that embeds Python, such as Blender; it could not be set again.
-    before: dict[int, Any] = {
-        each: signal.signal(each, put_off) for each in ENDING if signal.getsignal(each) is not None
-    }
+    handled = (each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not None)
+    before: dict[int, Any] = {each: signal.signal(each, put_off) for each in handled}
     try:
         yield
     finally:

@@ -11,10 +11,11 @@ from bodyseg_data.commands import check_target, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json, write_json
 from bodyseg_model import networks, runtimes
+from bodyseg_model.networks import CardWords
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
-_OF_THE_FILE = ("format", "network", "settings", networks.CardWords.WEIGHTS_SHA256)
+_OF_THE_FILE = ("format", "network", "settings", CardWords.WEIGHTS_SHA256)
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,7 @@ def run(options: Options) -> int:
     if options.scores is not None:
         figures = read_json(options.scores)
         card = figures.get("card")
-        if (
-            not isinstance(card, dict)
-            or card.get(networks.CardWords.WEIGHTS_SHA256) != trained.card[networks.CardWords.WEIGHTS_SHA256]
-        ):
+        if not isinstance(card, dict) or card.get(CardWords.WEIGHTS_SHA256) != trained.card[CardWords.WEIGHTS_SHA256]:
             of = options.run or "compact"
             raise BadConfig(f"--scores must be what bodyseg evaluate --json wrote of {of}, found {options.scores}")
         confusion, scores = figures.pop("confusion", None), {"scores": figures}

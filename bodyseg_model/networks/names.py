@@ -1,7 +1,4 @@
-"""Names of networks, of their files, and of entries in these: what is known without PyTorch.
-
-A new network is a file in this folder and an entry of `NETWORKS`.
-"""
+"""Names of networks, of their files, and of entries in these: what is known without PyTorch."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal

@@ -45,13 +45,7 @@ from bodyseg_model.networks import (
 from bodyseg_model.training.augmentation import augmented, signed_numbers
 from bodyseg_model.training.distributed import ProcessGroup, joined_process_group
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
-from bodyseg_model.training.optimisers import (
-    AveragedNetwork,
-    fill_optimisers,
-    make_optimisers,
-    optimiser_tensors,
-    set_learning_rate,
-)
+from bodyseg_model.training.optimisers import fill_optimisers, make_optimisers, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.plan import Best, RunFolder, training_plan
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWindow, Report, Validation
@@ -407,3 +401,29 @@ def mixed(sets: Sequence[RangeImages], weights: Sequence[float], samples: int | 
     parts = zip(sets, weights or [len(images) for images in sets], strict=True)
     mixture = Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
     return sets[0] if len(sets) == 1 and samples is None else mixture
+
+
+class AveragedNetwork:
+    """A network whose weights are the exponential moving average of another's (Polyak and Juditsky, 1992).
+
+    After step t, counted from 0, average = d average + (1 - d) weights with d = min(decay, (1 + t) / (10 + t)), so that
+    the first weights, which are random, are soon forgotten. The statistics of batch normalisation are averaged like the
+    weights (docs/how-to/training.md has the comparison); whole numbers are copied.
+
+    network: the averaged network, in evaluation mode. decay: the largest share that the average keeps in a step.
+    """
+
+    def __init__(self, network: Network, decay: float) -> None:
+        self.network = copy.deepcopy(network).eval().requires_grad_(False)
+        self.decay = decay
+
+    @torch.no_grad()
+    def update(self, network: Network, step: int) -> None:
+        """Take in the weights after step `step`, counted from 0. network: of the same shape as the averaged one."""
+        decay = min(self.decay, (1 + step) / (10 + step))
+        weights = network.state_dict()
+        for name, average in self.network.state_dict().items():
+            if average.is_floating_point():
+                average.lerp_(weights[name], 1 - decay)
+            else:
+                average.copy_(weights[name])

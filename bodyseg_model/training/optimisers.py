@@ -1,10 +1,7 @@
-"""The optimisers that a recipe names, and their state as tensors with names; and the exponential moving average (EMA)
-of a network's weights over the steps of a training.
-"""
+"""The optimisers that a recipe names, and their state as tensors with names."""
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
@@ -12,7 +9,6 @@ from typing import Any, Final
 import torch
 from torch import nn
 
-from bodyseg_model.networks import Network
 from bodyseg_model.training.recipes import Recipe
 
 _MOMENTUM: Final = 0.95
@@ -122,29 +118,3 @@ def fill_optimisers(optimisers: Optimisers, tensors: Mapping[str, torch.Tensor])
         states[int(at)].setdefault(int(number), {})[kind] = value
     for optimiser, state in zip(optimisers, states, strict=True):
         optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
-
-
-class AveragedNetwork:
-    """A network whose weights are the exponential moving average of another's (Polyak and Juditsky, 1992).
-
-    After step t, counted from 0, average = d average + (1 - d) weights with d = min(decay, (1 + t) / (10 + t)), so that
-    the first weights, which are random, are soon forgotten. The statistics of batch normalisation are averaged like the
-    weights (docs/how-to/training.md has the comparison); whole numbers are copied.
-
-    network: the averaged network, in evaluation mode. decay: the largest share that the average keeps in a step.
-    """
-
-    def __init__(self, network: Network, decay: float) -> None:
-        self.network = copy.deepcopy(network).eval().requires_grad_(False)
-        self.decay = decay
-
-    @torch.no_grad()
-    def update(self, network: Network, step: int) -> None:
-        """Take in the weights after step `step`, counted from 0. network: of the same shape as the averaged one."""
-        decay = min(self.decay, (1 + step) / (10 + step))
-        weights = network.state_dict()
-        for name, average in self.network.state_dict().items():
-            if average.is_floating_point():
-                average.lerp_(weights[name], 1 - decay)
-            else:
-                average.copy_(weights[name])

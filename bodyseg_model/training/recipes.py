@@ -50,7 +50,7 @@ class Recipe(Checked):
     loss_stride: the loss selects one pixel of every square of so many pixels a side, or of the network's output stride
     where that is larger.
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
-    (`optimisers.AveragedNetwork`); 0 for none.
+    (`loop.AveragedNetwork`); 0 for none.
     shuffle: order of the samples, "global" for a permutation of all or "blocks", which suits far stores (`loader`).
     only_places: whether only the head of places on the template is trained; all else of the network stays as it is, so
     that it labels with the same bits.

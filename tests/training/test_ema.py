@@ -12,7 +12,7 @@ from small_training import TINY, train
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import build, load_network
 from bodyseg_model.training import recipe_for
-from bodyseg_model.training.optimisers import AveragedNetwork
+from bodyseg_model.training.loop import AveragedNetwork
 
 
 def test_averages_follow_their_formula() -> None:
