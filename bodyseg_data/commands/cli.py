@@ -75,7 +75,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         _leave_stdout()
         return 141
     except _interrupt():
-        return _ended(f"{program}{name}")
+        number = _came[0] if _came else signal.SIGINT
+        return _say(f"{program}{name}", _ENDINGS[number], 128 + number)
     except BodysegError as error:
         if os.environ.get("BODYSEG_TRACEBACK") and hasattr(error, "__notes__"):  # of a user's code, or in a worker
             raise
@@ -134,11 +135,6 @@ def _stop(number: int, frame: Any) -> None:
 def _interrupt() -> type[BaseException]:
     """What an interrupt may arrive as: where C has called Python, as LLVM does, it becomes another error."""
     return BaseException if _came else KeyboardInterrupt
-
-
-def _ended(command: str) -> int:
-    number = _came[0] if _came else signal.SIGINT
-    return _say(command, _ENDINGS[number], 128 + number)
 
 
 def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:

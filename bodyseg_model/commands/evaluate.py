@@ -15,6 +15,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
 from bodyseg_data.files import last_name, make_folder, write_json
 from bodyseg_data.labels import LabelMap
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_data.machine import peak_mb
 from bodyseg_data.samples import OccluderName, ReadSplit
 from bodyseg_model import evaluation, networks, runtimes, training
@@ -54,9 +55,7 @@ class Options:
     frames: int = option("images on which the network is timed, one by one (0: not at all)", 50)
     batch_size: int = option("images that go through the network together", 16, heading="Machine")
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
-    worker_method: loading.WorkerMethod = option(
-        "kind of these workers: threads or processes", loading.DEFAULT_WORKER_METHOD
-    )
+    worker_method: WorkerMethod = option("kind of these workers: threads or processes", DEFAULT_WORKER_METHOD)
     device: str | None = option(runtimes.DEVICE_HELP, None)
     threads: int | None = option(runtimes.THREADS_HELP, None)
 

@@ -30,9 +30,11 @@ from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, command_l
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
 from bodyseg_data.labels import PARTS33, TEMPLATE, LabelMap, label_map_names
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_data.machine import computes_bfloat16
 from bodyseg_data.samples import OccluderName, ReadSplit
 from bodyseg_model import networks, runtimes, training
+from bodyseg_model.networks import CardWords, CheckpointName
 
 _WAIT_ADVISED: Final = 0.2  # share of a training's time spent waiting for images from which on there is advice
 _CLASSES: Final = "classes"
@@ -80,9 +82,7 @@ class Options:
     )
     val_every: int | None = option("steps between validations (default: 500)", None)
     val_images: int | None = option("images of each set to validate on (default: all that are held out)", None)
-    keep: networks.CheckpointName | None = option(
-        "weights to end with: best validation's or last step's (default: best)", None
-    )
+    keep: CheckpointName | None = option("weights to end with: best validation's or last step's (default: best)", None)
     seed: int = option("seed of initial weights, order, artifacts and all other draws", 0, heading="Run")
     resume: bool = option("carry on the training in --out from its last checkpoint", False)
     pretrained: Path | None = option(
@@ -101,9 +101,7 @@ class Options:
     device: str | None = option(runtimes.DEVICE_HELP, None)
     threads: int | None = option(runtimes.THREADS_HELP, None)
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
-    worker_method: loading.WorkerMethod = option(
-        "kind of these workers: threads or processes", loading.DEFAULT_WORKER_METHOD
-    )
+    worker_method: WorkerMethod = option("kind of these workers: threads or processes", DEFAULT_WORKER_METHOD)
     checkpoint_every: int = option("steps between checkpoints", 500)
     log_every: int = option("steps between lines of the log", 20)
 
@@ -270,7 +268,7 @@ def _pretrained(
         anew = ", ".join(name for name in new if name not in fit)
         does = f"{anew} begin at random" if anew else "all weights are kept, as there are as many"
         sys.stderr.write(f"{path} has other classes, {theirs.name!r}: {does}\n")
-    return _entry(path, start.card[networks.CardWords.WEIGHTS_SHA256])
+    return _entry(path, start.card[CardWords.WEIGHTS_SHA256])
 
 
 def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
@@ -279,7 +277,7 @@ def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
 
 
 def _entry(path: Path, digest: str) -> dict[str, Any]:
-    return {"file": path.resolve().name, networks.CardWords.WEIGHTS_SHA256: digest}
+    return {"file": path.resolve().name, CardWords.WEIGHTS_SHA256: digest}
 
 
 @contextlib.contextmanager
