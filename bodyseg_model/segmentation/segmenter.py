@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -198,14 +198,6 @@ def _may_lie(range_m: NDArray[np.float32]) -> bool:
     return bool(wide > 1.2 * high or ranges[:third].mean() > ranges[-third:].mean() + 0.15)
 
 
-def _view_or_none(resample: Callable[[NDArray[np.intp]], BodyView], pixels: NDArray[np.intp]) -> BodyView | None:
-    """The view of a body; None if none can show it."""
-    try:
-        return resample(pixels)
-    except BadConfig:
-        return None
-
-
 @cache
 def _compute_alone_in_forks() -> None:
     """Have forks of this process compute in one thread: OpenMP would wait for ever for threads that a fork lacks."""
@@ -303,22 +295,27 @@ class Segmenter:
         the background mode "people", where a wide camera meets one in a thousand, it is `unseen`.
         """
         range_m = metres_of(range_m, self.camera)
-        watch, camera = Stopwatch(STAGES), self._upright
+        watch = Stopwatch(STAGES)
         with watch("find"):
             range_m = turned_image(range_m, self.quarters)
             # Mirrored frames are not turned: half of the images that finders are trained on are mirrored.
-            bodies = find_bodies(range_m, camera, self.background, self.finder)
+            bodies = find_bodies(range_m, self._upright, self.background, self.finder)
         with watch("resample"):
-            resample: Callable[..., BodyView] = partial(
-                view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored
-            )
-            if self.background.mode == "frame":
-                resample = partial(view_frame, range_m, mirrored=self.mirrored)
-            shown = partial(_view_or_none, resample) if self.background.mode == "people" else resample
-            views = of_each(shown, [body.pixels for body in bodies], torch.get_num_threads())
+            views = of_each(partial(self._view, range_m), [body.pixels for body in bodies], torch.get_num_threads())
         both = list(zip(bodies, views, strict=True))
         seen = tuple((body, view) for body, view in both if view is not None)
         return FoundBodies(range_m, seen, watch.milliseconds, tuple(body for body, view in both if view is None))
+
+    def _view(self, range_m: NDArray[np.float32], pixels: NDArray[np.intp]) -> BodyView | None:
+        """What the network sees of a body; None for one of people whom no view can show."""
+        if self.background.mode == "frame":
+            return view_frame(range_m, pixels, self.mirrored)
+        try:
+            return view_body(range_m, pixels, self._upright, self.rig, self.mirrored)
+        except BadConfig:
+            if self.background.mode != "people":
+                raise
+            return None
 
     def label(self, found: FoundBodies) -> Segmentation:
         """Label the bodies that `find` found; those that the network doubts too much to be people become things.
