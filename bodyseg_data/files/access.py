@@ -131,9 +131,7 @@ def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
 
 
 def make_folder(path: Path) -> list[Path]:
-    """Make a folder and those above it, unless they are there; returns those made, inner ones first. Raises BadConfig,
-    naming the folder, if that fails.
-    """
+    """Make a folder and those above it; returns those that it made, inner ones first. Raises BadConfig, naming it."""
     with reported(f"cannot make the folder {path}", BadConfig, OSError):
         made = [each for each in (path, *path.parents) if not each.exists()]
         path.mkdir(parents=True, exist_ok=True)

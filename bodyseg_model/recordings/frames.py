@@ -56,7 +56,7 @@ def find_frames(
     MissingLibrary.
     """
     skipping = Skipping(skip)
-    opened = [(path.is_dir(), _opened(path, topic, step_m, skipping.budget > 0)) for path in paths]
+    opened = [(path.is_dir(), open_recording(path, topic, step_m, skipping.budget > 0)) for path in paths]
     single = [found[0] for is_folder, found in opened if not is_folder and found[0].member is None]
     single.sort(key=lambda frame: (natural_key(str(frame.path.parent)), natural_key(frame.name)))
     several = (found for is_folder, found in opened if is_folder or found[0].member is not None)
@@ -69,21 +69,20 @@ def find_frames(
     return [replace(frame, name=name) for frame, name in zip(frames, result_names(frames), strict=True)]
 
 
-def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> tuple[Frame, ...]:
+def open_recording(
+    path: Path | str, topic: str | None = None, step_m: float | None = None, skip: bool = False
+) -> tuple[Frame, ...]:
     """Open a recording, its frames in order: a PNG, a folder of PNGs, or a file or folder of one of `FORMATS`, told by
     content or suffix.
 
     A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order; a
     file whose times do not go on with those of the file before begins another sequence.
     topic: which of several streams of frames; None for the only one. step_m: metres a step, or metres that 1.0 is in
-    floating point; None: as the recording says, or else millimetres and metres. Raises BadConfig for a path that cannot
-    be read, or holds no frame, and for a step that is not above 0; MissingLibrary.
+    floating point; None: as the recording says, or else millimetres and metres. skip: what is there but does not open
+    is one frame, which says why when it is read. Raises BadConfig for a path that cannot be read, or holds no frame,
+    and for a step that is not above 0; MissingLibrary.
     """
-    return _opened(Path(path), topic, step_m, skip=False)
-
-
-def _opened(path: Path, topic: str | None, step_m: float | None, skip: bool) -> tuple[Frame, ...]:
-    """As `open_recording`. skip: what is there but cannot be opened is one frame, which says why when it is read."""
+    path = Path(path)
     if step_m is not None and not 0 < step_m < inf:
         raise BadConfig(f"step_m must be above 0, found {step_m!r}")
     try:
@@ -156,7 +155,7 @@ def _folder(path: Path, topic: str | None, step_m: float | None, skip: bool) -> 
     files.sort(key=lambda file: natural_key(file.name))
     frames = list[Frame]()
     for part in files:
-        opened = _opened(part, topic, step_m, skip)
+        opened = open_recording(part, topic, step_m, skip)
         sequence = frames[-1].sequence if frames else 0
         if frames and not _goes_on(frames[-1], opened[0]):
             sequence += 1

@@ -59,16 +59,15 @@ class FrameSource(ABC):
         return None
 
 
+@dataclass(frozen=True)
 class Unopened(FrameSource):
     """Stands for a recording that cannot be opened. why: what was wrong with it."""
 
+    why: str
     opened = False
 
-    def __init__(self, why: str) -> None:
-        self._why = why
-
     def read(self, index: int) -> NDArray[Any]:
-        raise BadConfig(self._why)
+        raise BadConfig(self.why)
 
 
 class ArrayFrames(FrameSource):

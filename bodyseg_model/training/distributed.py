@@ -57,9 +57,7 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 
 def use_threads(count: int | None) -> int:
-    """Set the number of threads in which torch computes; None: `processors` at most. Returns it; raises BadConfig below
-    one.
-    """
+    """Set the number of threads of torch and return it; None: `processors` at most. Raises BadConfig below one."""
     most = min(torch.get_num_threads(), processors())
     torch.set_num_threads(most if count is None else check_int("--threads", count, 1))
     return torch.get_num_threads()
