@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_choice
+from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Value, holds_motions
-from bodyseg_data.shards import Fields, Row, ShardRecord
+from bodyseg_data.shards import RIG_FIELD, Fields, Row, ShardRecord
 
 _ORDERS: Final[dict[str, Callable[[float, float], bool]]] = {
     "<=": operator.le,
@@ -30,6 +31,7 @@ _CONDITION: Final = re.compile(r"\s*(\w+)\s*(<=|>=|!=|=|<|>)(.*)", re.DOTALL)
 _NUMBER: Final = r"[+-]?[0-9]{1,40}(?:\.[0-9]{1,40})?(?:[eE][+-]?[0-9]{1,3})?"
 _RANGE: Final = re.compile(rf"({_NUMBER})(?:\.\.({_NUMBER}))?")
 _FULL_TURN_DEG: Final = 360
+_SHOWN: Final = 9  # rigs that a message names
 _FORM: Final = "FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255'"
 
 
@@ -110,13 +112,13 @@ class Condition:
         return found == (self.comparison == "=")
 
 
-def parse_condition(text: str, fields: Fields) -> Condition:
+def parse_condition(text: str, fields: Fields, rigs: Sequence[Rig] = ()) -> Condition:
     """Read a condition: FIELD=VALUES, FIELD!=VALUES, or of a number FIELD<NUMBER, <=, >, >=.
 
     VALUES are one or several with commas between them, of which any may be met: patterns as for file names, or numbers
     and ranges a..b, both ends included, or true and false. Azimuths a..b are the directions from a to b, and -90 is
     270. The field "motion", unless a set has one, is the pose of frames of a motion, the subsets B and C; no pattern
-    matches the motion of other samples. fields: of the set. A sample without the field meets FIELD!=VALUES alone.
+    matches the motion of other samples. fields, rigs: of the set. A sample without the field meets FIELD!=VALUES alone.
 
     Raises BadConfig for an unknown field, a comparison that it does not have, or other values.
     """
@@ -132,7 +134,9 @@ def parse_condition(text: str, fields: Fields) -> Condition:
         known = f"is on one of {', '.join(kinds)}" if kinds else "needs descriptions, and this set's have no fields"
         raise BadConfig(f"a condition {known}, found {name!r} in {text!r}")
     if kinds[name] in ("int", "float"):
-        ranges = tuple(_range_of(text, name, value) for value in values)
+        numbered = ", ".join(f"{number} {rig.name}" for number, rig in enumerate(rigs[:_SHOWN]))
+        known = f" ({numbered}{' ...' if len(rigs) > _SHOWN else ''})" if name == RIG_FIELD and rigs else ""
+        ranges = tuple(_range_of(text, f"{name}{known}", value) for value in values)
         if comparison in _ORDERS and (len(ranges) > 1 or ".." in values[0]):
             raise BadConfig(f"{name}{comparison} takes one number, found {text!r}")
         return Condition(name, comparison, values, ranges=ranges)

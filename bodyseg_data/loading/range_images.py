@@ -163,7 +163,7 @@ class RangeImages(SampleDataset):
         self._joins = not self.label_map.is_whole
         self._regions = self._regions_of(self.path) if on_template else None
         self._read_planes = tuple(dict.fromkeys((*self.planes, *on_template)))
-        self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields)
+        self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields, self.manifest.rigs)
         self._samples = self.selection.choose(self.manifest, str(path))
         chosen = self._samples.shards
         files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]

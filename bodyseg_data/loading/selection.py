@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Draws, check_choice
 from bodyseg_data.loading.conditions import Condition, SampleTable, parse_condition, texts_of
+from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
 from bodyseg_data.shards import Fields, Manifest
 
@@ -107,14 +108,16 @@ class Selection:
     val_share: float = 0.0
 
     @classmethod
-    def of(cls, pattern: str, split: Any, only: Any, where: Any, val_share: Any, fields: Fields) -> Selection:
-        """Check the options of a user. only, where: one text or several. fields: of the set. Raises BadConfig."""
+    def of(
+        cls, pattern: str, split: Any, only: Any, where: Any, val_share: Any, fields: Fields, rigs: Sequence[Rig] = ()
+    ) -> Selection:
+        """Check the options of a user. only, where: one text or several. fields, rigs: of the set. Raises BadConfig."""
         check_choice("the split", split, (*READ_SPLITS, None))
         if isinstance(val_share, bool) or not isinstance(val_share, int | float | np.number) or not 0 <= val_share < 1:
             raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {val_share!r}")
         if split == "val" and not val_share:
             raise BadConfig("the split 'val' is a share of train: give val_share, like 0.1")
-        conditions = tuple(parse_condition(text, fields) for text in texts_of("where", where))
+        conditions = tuple(parse_condition(text, fields, rigs) for text in texts_of("where", where))
         return cls(pattern, split, texts_of("only", only), conditions, float(val_share))
 
     @property

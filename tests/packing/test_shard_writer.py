@@ -164,6 +164,11 @@ def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path, capsys: p
     assert cli.main(["verify", str(tmp_path / "set")]) == 0
     images = RangeImages(tmp_path / "set", "none")
     assert images.manifest.planes == {"instances": "uint16", "material": "uint8"}
+    assert RangeImages(tmp_path / "set", "none", where="rig=1").keys == ["scene-001"]
+    with pytest.raises(
+        BadConfig, match=rf"^rig \(0 {TWO.name}, 1 turned\) is compared with numbers, .*, found 'rig=tu"
+    ):
+        RangeImages(tmp_path / "set", "none", where="rig=turned")
     first, second = images.clean(0), images.clean(1)
     assert first.info.fields == {"age": 3, "mesh": (0.0, 1.0, 2.0), "height": 0.5, "left": True, "rig": 0}
     assert second.info.fields == {"height": 2.0, "rig": 1}
