@@ -43,7 +43,6 @@ class Options:
 
 def run(options: Options) -> int:
     """Measure a sensor, print the verdicts, and write what was asked for."""
-    training.use_threads(None)
     for path, flag in ((options.out, "--out"), (options.picture, "--picture")):
         if path is not None:
             check_target(path, flag)
@@ -55,6 +54,7 @@ def run(options: Options) -> int:
     step_m = None if options.units is None else recordings.metres_a_step(options.units)
     skipping = recordings.Skipping(options.skip_unreadable)
     files = recordings.find_frames(options.frames, options.topic, step_m, skipping.budget)
+    training.use_threads(None)
     background = _background(options)
     camera = recordings.FrameCameras(files, options.rig, options.focal, options.centre, load_rig(), skipping).first
     quarters = _quarters(options, files, background, camera)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         trained_network,
         wrapped,
     )
-    from bodyseg_model.networks.labelling import label_pixels
     from bodyseg_model.networks.names import CardWords, CheckpointName, NetworkName, RunFiles, confusion_file
     from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
     from bodyseg_model.networks.patch_loops import BITS, nearest

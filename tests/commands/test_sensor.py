@@ -59,12 +59,12 @@ def test_frames_become_a_sensor_file_and_a_picture(
         assert drawn.width > 800
 
 
-def test_a_fit_takes_no_more_processors_than_its_container_has(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_takes_no_more_processors_than_its_container_has(frames: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     monkeypatch.setattr("bodyseg_model.training.distributed.processors", lambda: 1)
     try:
-        assert run("fit", "absent") == 2
+        assert run("fit", frames, "--near", "5", "--far", "1") == 2
         assert torch.get_num_threads() == 1
     finally:
         torch.set_num_threads(before)
