@@ -1,6 +1,7 @@
 """Commands that use networks, one module each.
 
-They import rooms whole, and a name of a room where it is used, as help and refused options need no PyTorch.
+What needs PyTorch is named by its room where it is used, so that help and refused options come without; all else may be
+imported by name.
 """
 
 from typing import TYPE_CHECKING
