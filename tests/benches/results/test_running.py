@@ -191,7 +191,7 @@ def test_a_program_that_is_not_there_is_a_failure(shop: Workshop, capsys: Captur
 
 
 def test_an_interrupted_step_carries_on(shop: Workshop, capsys: Capture, interruptible: None) -> None:
-    cut = 'if [ -d "$1" ]; then echo >> "$1/starts"; else mkdir -p "$1"; kill -INT $PPID; sleep 30; fi; '
+    cut = 'if [ -d "$1" ]; then echo >> "$1/starts"; else mkdir -p "$1"; kill -INT $PPID; exec sleep 30; fi; '
     shop.steps[1] = a_training("runs/x-0", cut + TRAINING)
     with pytest.raises(KeyboardInterrupt):
         shop.run()
@@ -202,7 +202,7 @@ def test_an_interrupted_step_carries_on(shop: Workshop, capsys: Capture, interru
 
 
 def test_an_interrupted_step_of_other_code_starts_anew(shop: Workshop, interruptible: None) -> None:
-    cut = 'if [ ! -e stopped ]; then mkdir -p "$1"; touch "$1/half" stopped; kill -INT $PPID; sleep 30; fi; '
+    cut = 'if [ ! -e stopped ]; then mkdir -p "$1"; touch "$1/half" stopped; kill -INT $PPID; exec sleep 30; fi; '
     shop.steps[1] = a_training("runs/x-0", cut + TRAINING)
     with pytest.raises(KeyboardInterrupt):
         shop.run()
