@@ -29,7 +29,6 @@ DOCUMENTS: Final = sorted([ROOT / "README.md", *PAGES])
 
 ELSEWHERE: Final = {
     "add_your_own.md": "each example runs by itself in test_how_to.py",
-    "cards.md": "needs the cards of a set; tests/cards reads one by both libraries",
     "your_renders.md": "needs the set of its commands; test_your_renders.py runs both",
     "publish.md": "a set of nobody; tests/transfer/test_publish.py runs its commands",
     "remote.md": "the addresses are of nobody; tests/shards/test_stores.py reads from servers on loopback",
@@ -43,6 +42,8 @@ NOT_RUN: Final = {
     "import webdataset as wds": "names shards of somebody else; bench loader reads by it",
     "from streaming import": "needs MosaicML Streaming; bench loader reads by it",
     "from litdata import": "needs LitData; bench loader reads by it",
+    "from datasets import": "writes into its own cache; tests/benches/cards reads a set by it",
+    "import mlcroissant": "needs the cards of a set; tests/benches/cards reads them by it",
     "import ray": "needs Ray; the function that it calls runs in the block before",
     "from pyspark": "needs Spark; the function that it calls runs in the block before",
     "from live_cameras import realsense": "needs a camera; tests/recordings has stand-ins for two",

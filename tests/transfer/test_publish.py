@@ -15,7 +15,7 @@ from servers import TOKEN, web_server
 from bodyseg_data import RangeImages
 from bodyseg_model.commands import main
 
-TEXT = (DOCS / "how-to" / "publish.md").read_text().replace("OWNER/NAME", "owner/name")
+TEXT = (DOCS / "how-to" / "publish.md").read_text().partition("\n## ")[0].replace("OWNER/NAME", "owner/name")
 
 
 def test_a_set_is_published_and_pulled(small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
