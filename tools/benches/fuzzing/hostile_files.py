@@ -281,7 +281,7 @@ def hostile_piece(generator: Generator) -> tuple[bool, bytes]:
 
 
 def _earlier_piece(record: ShardRecord) -> bytes:
-    """A piece of an index as format 6 had it (docs/reference/shard_format.md)."""
+    """A piece of an index as format 6 had it (`bodyseg_data/shards/earlier.py`)."""
     piece = json.loads(b"{" + encode_piece(record).partition(b"{")[2])
     (bodies, views, *_), rows = piece["tables"], record.descriptions.rows
     text = {"bodies": bodies, **{name: piece[name] for name in ("stems", "tails", "notes")}}

@@ -25,7 +25,7 @@ from bodyseg_data.shards.codecs.residuals import (
 
 
 def earlier_images(sample: Sample) -> bytes:
-    """A sample's images in one `BSI2` (docs/reference/shard_format.md); labels are of the 33 parts."""
+    """A sample's images in one `BSI2` (`bodyseg_data/shards/codecs/bodyseg_images.py`); labels are of the 33 parts."""
     stored = label_bytes(sample.labels, sample.faces_projector)
     box = bounding_box(stored != BACKGROUND)
     runs = find_runs(box.crop(stored))
