@@ -29,10 +29,8 @@ def lazy_door(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
     def found(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        # Raised while PyTorch is imported, an interrupt can end in C++, which aborts the process. Not where SIGTERM is
-        # left to the system: there may be handlers of C, such as rclpy's, that could not be put back.
-        fresh = homes[name] not in sys.modules and callable(signal.getsignal(signal.SIGTERM))
-        with signals_held() if fresh else nullcontext():
+        # Raised while PyTorch is imported, an interrupt can end in C++, which aborts the process.
+        with nullcontext() if homes[name] in sys.modules else signals_held(unless_left=True):
             return getattr(import_module(homes[name]), name)
 
     def listed() -> list[str]:
@@ -60,13 +58,15 @@ def _all_imports(code: CodeType) -> dict[str, str]:
 
 
 @contextmanager
-def signals_held(only_first: bool = False) -> Iterator[None]:
+def signals_held(only_first: bool = False, unless_left: bool = False) -> Iterator[None]:
     """Put off the handling of SIGINT and SIGTERM until the context ends, in the main thread.
 
-    only_first: a second signal is handled at once, for contexts that may last. Other threads receive no signals, so
-    nothing is put off there.
+    only_first: a second signal is handled at once, for contexts that may last. unless_left: not where SIGTERM is left
+    to the system: there may be handlers of C, such as rclpy's, that could not be put back. Other threads receive no
+    signals, so nothing is put off there.
     """
-    if threading.current_thread() is not threading.main_thread():
+    left = unless_left and not callable(signal.getsignal(signal.SIGTERM))
+    if left or threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[int] = []

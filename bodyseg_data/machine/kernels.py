@@ -20,7 +20,6 @@ import os
 import pickle
 import platform
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -97,10 +96,8 @@ def compiled(loops: Callable[..., Any], feature: str = "a compiled loop", extra:
     """
     function = required("numba", feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
     function._cache = _Kept(loops)
-    compiles = function.compile
-    held = signals_held(only_first=True)(compiles)  # the compiler has Python called by C, which would lose an interrupt
-    # Not where SIGTERM is left to the system, as in `lazy_door`.
-    function.compile = lambda *given: (held if callable(signal.getsignal(signal.SIGTERM)) else compiles)(*given)
+    # The compiler has Python called by C, which would lose an interrupt.
+    function.compile = signals_held(only_first=True, unless_left=True)(function.compile)
     return function
 
 
