@@ -33,6 +33,7 @@ from bodyseg_data.shards import (
     BODY_FIELDS,
     MANIFEST_NAME,
     Fields,
+    Manifest,
     ShardRecord,
     TarWriter,
     column_file,
@@ -183,7 +184,7 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
     """
     check_folder(out)
     state = out / STATE_NAME
-    if (out / MANIFEST_NAME).exists() and read_manifest(out).plan != digest:
+    if (out / MANIFEST_NAME).exists() and not _is_of(read_manifest(out), digest, description["shard_samples"]):
         other = "packed with other options or from other files: choose another folder, or delete it"
         raise BadConfig(f"{out} already holds a set of shards {other}")
     with held_alone(state, "packing"):
@@ -191,6 +192,16 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
             leftover.unlink()  # of a run that could not even clean up
         _check_plan(state / "plan.json", description, out)
         yield state
+
+
+def _is_of(manifest: Manifest, digest: str, shard_samples: int) -> bool:
+    """True for the set of a plan, cut by so many samples a shard, which not every plan tells."""
+    for split in SPLITS:
+        sizes = [len(shard) for shard in manifest.shards if shard.split == split]
+        largest = max(sizes, default=0)
+        if largest > shard_samples or (len(sizes) > 1 and largest < shard_samples):
+            return False
+    return manifest.plan == digest
 
 
 def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:

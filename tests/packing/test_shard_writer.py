@@ -347,6 +347,9 @@ def test_a_finished_set_stays_and_a_damaged_shard_is_written_again(tmp_path: Pat
     with ShardWriter(out, rig=RIG, classes=CLASSES, shard_samples=3) as writer:
         assert "scene-003" in writer  # whoever asks first is not warned
     assert files(out) == before
+    for count in (2, 4):
+        with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
+            write(out, range(11), shard_samples=count)
     with pytest.raises(BadConfig, match=r"scene-011: .* holds a finished set without it"):
         write(out, range(12), shard_samples=3)
     assert files(out) == before
