@@ -14,7 +14,7 @@ from bodyseg_data.artifacts import Augmentation, check_variant
 from bodyseg_data.bodies import SOURCES, Units, UpAxis, check_source, collapsed
 from bodyseg_data.commands.options import flag_of, option
 from bodyseg_data.commands.progress import Progress
-from bodyseg_data.core import BadConfig, BadMesh, one_line
+from bodyseg_data.core import BadConfig, BadMesh, check_int, one_line
 from bodyseg_data.meshes import GeodesicMethod
 from bodyseg_data.packing import (
     PROCESSES,
@@ -206,6 +206,7 @@ def _run_rooms(options: Options) -> int:
 
     if options.samples is None:
         raise BadConfig(f"--source {ROOMS} needs --samples: how many rooms")
+    check_int("--samples", options.samples, 1)
     kinds = chosen_kinds(options.kinds, options.without)
     if options.scene is None and (options.units, options.up) != (Packing.units, Packing.up):
         raise BadConfig("--units and --up are those of the meshes of --scene, which is missing")

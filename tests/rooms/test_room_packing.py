@@ -146,6 +146,8 @@ def test_own_meshes_that_cannot_stand_in_rooms_are_refused_in_one_line(
     assert json.loads(capsys.readouterr().out)["scene"] == ["press"]
     assert main([*words[:-1], "--up", "z"]) == 2
     assert "--units and --up are those of the meshes of --scene" in capsys.readouterr().err
+    assert main(["shard", "--source", "rooms", "--samples", "0", "--plan"]) == 2
+    assert "--samples must be a whole number of at least 1, found 0" in capsys.readouterr().err
     assert main(["shard", "--source", "open", "--scene", "x", "--plan"]) == 2
     assert "--scene does not go with --source open: it is of rooms" in capsys.readouterr().err
     monkeypatch.setattr(room_packing, "_OWN_FACES", 11)
