@@ -77,6 +77,8 @@ def test_the_command_writes_a_page_beside_a_network(weights: Path, capsys: pytes
     assert main(["card", str(folder)]) == 0
     assert "# run\n" in (folder / "README.md").read_text()
     assert capsys.readouterr().out == f"wrote {weights.with_suffix('.md')}\nwrote {folder / 'README.md'}\n"
+    assert main(["card", str(folder), "--url", "https://example.org/run"]) == 2
+    assert "--url is where a set will be" in capsys.readouterr().err
 
 
 def test_a_card_of_another_format_is_refused(weights: Path) -> None:

@@ -54,6 +54,8 @@ def _network_card(path: Path, publication: Publication) -> dict[Path, bytes]:
     from benches.cards.model_cards import model_card
     from bodyseg_model.commands.sharing import network_file, page_file
 
+    if publication.url:
+        raise BadConfig("--url is where a set will be, and its shards: the page of a network names no address")
     weights = network_file(path)
     return {page_file(path): model_card(weights, publication).encode()}
 
