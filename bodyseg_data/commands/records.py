@@ -16,9 +16,14 @@ def provenance(command: str) -> dict[str, str]:
     return {"command": command, "commit": _commit(), "hardware": hardware()}
 
 
-def check_target(path: Path, option: str) -> None:
-    """Raise BadConfig unless the file that `option` gives can be written; to be called before the measurement."""
+def check_target(path: Path, option: str, new_folder: bool = False) -> None:
+    """Raise BadConfig unless the file that `option` gives can be written; to be called before the measurement.
+
+    new_folder: its folder may be one that is made later, when nothing can be refused any more.
+    """
     folder = path.absolute().parent
+    while new_folder and not os.path.lexists(folder):
+        folder = folder.parent
     if (path.exists() and not path.is_file()) or not folder.is_dir() or folder == Path("/dev"):  # as /dev/stdout
         raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
     if not os.access(folder, os.W_OK | os.X_OK):

@@ -79,6 +79,8 @@ def run(options: Options) -> int:
     scores = evaluation.report(found)
     seconds = {stage: round(value / 1000, 2) for stage, value in found.milliseconds.items()}
     described = [_describe(images, options.images, trained) for images in sets]
+    if options.figures is not None:
+        make_folder(options.figures)  # which may hold the scores, too
     write_json(
         options.json,
         {
@@ -111,9 +113,10 @@ def _check(options: Options) -> None:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")
     if options.figures is not None:
         new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
-        make_folder(options.figures)
-        check_target(options.figures / "parts.png", "--figures")
-    check_target(options.json, "--json")  # after the folder of figures was made, which may have this name
+        check_target(options.figures / "parts.png", "--figures", new_folder=True)
+    check_target(options.json, "--json", new_folder=options.json.parent == options.figures)
+    if options.json == options.figures:
+        raise BadConfig(f"--json needs another name than the folder --figures, found {options.json}")
     if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
         raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
     training.use_threads(options.threads)

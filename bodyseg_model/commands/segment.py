@@ -218,13 +218,13 @@ def _remarks(
         )
     if recording.skipped:
         lines.append(f"{len(recording.skipped)} frames could not be read: summary.json lists them under skipped")
-    if summary.things:
+    if summary.doubted:
         lines.append(
-            f"{summary.things / frames:.2g} things a frame that look like people got no label, as the network doubts "
+            f"{summary.doubted / frames:.2g} things a frame that look like people got no label, as the network doubts "
             "them: --keep-things labels them, too"
         )
     # Without people, 0 if there were things that the network doubted, else 1.
-    sure = summary.mean_confidence or float(not summary.things)
+    sure = summary.mean_confidence or float(not summary.doubted)
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}{'' if summary.people else ', as no frame tells'}")
     elif options.turned is None and background != "frame" and sure < _SURE:

@@ -51,9 +51,8 @@ def run(options: Options) -> int:
     groups = stability.group(runs)
     reference = stability.group_of(groups, options.reference)
     new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
-    make_folder(options.out)
     written, picture = options.out / "stability.json", options.out / "stability.png"
-    check_target(written, "--out")
+    check_target(written, "--out", new_folder=True)
     start = time.perf_counter()
     for each in runs:
         each.trained.network.to(device)
@@ -69,6 +68,7 @@ def run(options: Options) -> int:
         **_images(options, runs, groups, sweeps, reference),
     }
     figures["seconds"] = round(time.perf_counter() - start, 1)
+    make_folder(options.out)
     write_json(written, figures)
     stability.draw_stability(figures, picture)
     sys.stdout.writelines(f"{line}\n" for line in _curves(figures))

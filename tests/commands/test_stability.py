@@ -201,6 +201,7 @@ def test_conditions_choose_among_hard_poses_too(runs: Path, figures_set: Path, t
         ({"images": 0}, "--images must be a whole number of at least 1, found 0"),
         ({"sweeps": ("rain",)}, "a sweep must be one of"),
         ({"hard": None}, "needs a set of hard poses"),
+        ({"hard": "absent"}, "absent"),
     ],
 )
 def test_what_makes_no_sense_is_refused(
@@ -217,4 +218,4 @@ def test_out_must_be_a_folder(
     (tmp_path / "taken").write_text("")
     words = ["--run", str(runs / "all-0"), "--data", str(figures_set), "--out", str(tmp_path / "taken")]
     assert cli.main(["stability", *words]) == 2
-    assert "cannot make the folder" in capsys.readouterr().err
+    assert "--out needs a file in a folder that is there, found" in capsys.readouterr().err

@@ -413,7 +413,7 @@ def call(*words: object) -> int:
 def test_the_command_writes_scores_and_figures(
     figures_set: Path, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "scores.json"
+    out = tmp_path / "figures" / "scores.json"  # a folder that is to be made may hold both
     words = ["--run", run_folder, "--data", figures_set, "--json", out, "--frames", 2, "--num-workers", 0]
     assert call(*words, "--figures", tmp_path / "figures") == 0
     assert "8 images: average per-class accuracy " in capsys.readouterr().err
@@ -425,7 +425,7 @@ def test_the_command_writes_scores_and_figures(
     assert tree["milliseconds_per_frame"]["frames"] == 2
     assert {"A", "people"} == set(tree["subsets"])
     sizes = {}
-    for path in (tmp_path / "figures").iterdir():
+    for path in (tmp_path / "figures").glob("*.png"):
         with Image.open(path) as picture:
             sizes[path.name] = picture.size
             assert len(set(picture.convert("L").resize((300, 300)).tobytes())) > 20, f"{path.name} is blank"
@@ -473,8 +473,8 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--variant", "noise", "--artifacts", '{"losses": {"most": 0.5}}'], "for a variant that has missing_data"),
         (["--seed", "-1"], "a seed must be a whole number from 0"),
         (["--json", "no/folder/x.json"], "--json needs a file in a folder that is there"),
-        (["--figures", "file"], "cannot make the folder file"),
-        (["--json", "name", "--figures", "name"], "--json needs a file in a folder that is there, found name"),
+        (["--figures", "file"], "--figures needs a file in a folder that is there, found file"),
+        (["--json", "name", "--figures", "name"], "--json needs another name than the folder --figures, found name"),
     ],
 )
 def test_one_line_says_what_is_wrong(
@@ -489,11 +489,12 @@ def test_one_line_says_what_is_wrong(
     monkeypatch.chdir(tmp_path)
     Path("file").touch()
     usual = {"--run": run_folder, "--data": figures_set, "--json": "x.json", "--num-workers": 0}
+    usual |= {"--figures": "drawn"} if words[0] == "--batch-size" else {}
     usual |= dict(zip(words[::2], words[1::2], strict=True))
     assert call(*(word for pair in usual.items() for word in pair)) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
-    assert not Path("x.json").exists()
+    assert not Path("x.json").exists() and not Path("drawn").exists()
 
 
 def test_a_set_without_the_split_is_refused(
