@@ -103,9 +103,9 @@ class SequenceSummary:
         return float(np.median(ranges)) if ranges else None
 
     @property
-    def things(self) -> int:
-        """Number of things that looked like people, in all frames together."""
-        return sum(len(frame["things"]) for frame in self._frames)
+    def doubted(self) -> int:
+        """Number of things that looked like people and the network doubted, in all frames; not those in no view."""
+        return sum(thing["scale"] > 0 for frame in self._frames for thing in frame["things"])
 
     @property
     def mean_confidence(self) -> float | None:
@@ -130,7 +130,7 @@ class SequenceSummary:
             "frames": len(self._frames),
             "frames_with_people": sum(frame["people"] > 0 for frame in self._frames),
             "people": self.people,
-            "things": self.things,
+            "things": sum(len(frame["things"]) for frame in self._frames),
             "pixels": sum(frame["pixels"] for frame in self._frames),
             "labelled": sum(frame["labelled"] for frame in self._frames),
             "mean_confidence": _rounded(self.mean_confidence),

@@ -21,6 +21,7 @@ from PIL import Image
 from pngs import pixels, png
 from small_rig import SMALL
 
+from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES, PARTS33, LabelMap, load_label_map
 from bodyseg_data.rigs import load_sensor
 from bodyseg_model import runtimes
@@ -29,7 +30,7 @@ from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.runtimes import backends, load_network
-from bodyseg_model.segmentation import FrameLabeller, Segmenter
+from bodyseg_model.segmentation import FrameLabeller, Segmenter, view_body
 from bodyseg_model.segmentation.views import Undistortion, usual_views
 
 pytestmark = pytest.mark.usefixtures("near_is_person")
@@ -540,6 +541,19 @@ def test_what_the_network_doubts_is_a_thing(
     facts = report(tmp_path / "all")
     assert (facts["people"], facts["things"], facts["labelled"]) == (5, 0, 5 * 480)
     assert facts["finder"]["least_confidence_of_people"] == 0
+
+
+def test_what_no_view_can_show_is_not_said_to_get_labels_by_an_option(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def narrow(range_m: Any, pixels: Any, *given: Any) -> Any:
+        if len(pixels) > 1:
+            raise BadConfig("too large")
+        return view_body(range_m, pixels, *given)
+
+    monkeypatch.setattr("bodyseg_model.segmentation.segmenter.view_body", narrow)
+    assert run(recording / "7.png", "--focal", "100", "--out", tmp_path / "out") == 0
+    assert report(tmp_path / "out")["things"] == 1 and "--keep-things" not in capsys.readouterr().err
 
 
 def test_people_are_found_whatever_classes_a_network_has(
