@@ -87,14 +87,19 @@ def open_recording(
         raise BadConfig(f"step_m must be above 0, found {step_m!r}")
     try:
         if path.is_dir():
-            return _folder(path, topic, step_m, skip)
-        found = find_format(path)
-        return _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
+            frames = _folder(path, topic, step_m, skip)
+        else:
+            found = find_format(path)
+            frames = _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
     except BadConfig as error:
         if not skip or not path.exists():
             raise
         lost = Unopened(str(error).removeprefix(str(path)).lstrip(": "))  # `Frame.read` names it again
         return (Frame(path.stem, str(path), path, None, lost, ("",), step_m=step_m or MILLIMETRE),)
+    for frame in frames:
+        if not (skip or frame.source.opened):
+            frame.read()  # says what is wrong with it
+    return frames
 
 
 def _pngs(frames: list[Frame], path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
@@ -122,13 +127,17 @@ def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
 
 
 def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE) -> Frame:
-    """Return the frame in a PNG file, whose content is not read yet. Raises BadConfig for a file that is not there."""
-    with reported(f"cannot read {path}", BadConfig, OSError):
-        refuse_special(path)
-        size = path.stat().st_size
-    if size > _LARGEST_FILE:
-        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {size} in {path}")
-    return Frame(path.stem, str(path), path, None, PngSource(path, size), ("",), 0, time_s, step_m)
+    """Return the frame in a PNG file, whose content is not read yet; one that is not there tells so when it is read."""
+    source: FrameSource
+    try:
+        with reported("the file cannot be read", BadConfig, OSError):
+            refuse_special(path)
+            source = PngSource(path, path.stat().st_size)
+        if source.size > _LARGEST_FILE:
+            raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {source.size}")
+    except BadConfig as error:
+        source = Unopened(str(error))
+    return Frame(path.stem, str(path), path, None, source, ("",), 0, time_s, step_m)
 
 
 def _folder(path: Path, topic: str | None, step_m: float | None, skip: bool) -> tuple[Frame, ...]:

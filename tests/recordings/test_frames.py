@@ -153,7 +153,7 @@ def test_a_frame_that_cannot_be_opened_or_has_shrunk_is_named(tmp_path: Path) ->
 def test_files_beyond_reason_are_not_read(tmp_path: Path) -> None:
     with (tmp_path / "a.png").open("wb") as file:
         file.truncate(1 << 29)
-    assert f"a frame must have at most {1 << 28} bytes, found {1 << 29} in" in refusal(tmp_path / "a.png")
+    assert f"a.png: a frame must have at most {1 << 28} bytes, found {1 << 29}" in refusal(tmp_path / "a.png")
 
 
 # Units.

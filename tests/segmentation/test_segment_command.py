@@ -609,3 +609,23 @@ def test_frames_that_are_skipped_at_the_end_are_counted(
     said = capsys.readouterr().err
     assert "segmenting: 5 of 5 frames" in said and "wrote 4 frames" in said
     assert [frame["name"] for frame in report(tmp_path / "out")["each"]] == ["7", "8", "9", "10"]
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_a_frame_that_is_not_there_costs_no_other(
+    listed: bool, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (recording / "8.png").unlink()
+    if listed:  # as in sets of TUM's form that were copied in part
+        (recording / "a").mkdir()
+        for frame in recording.glob("*.png"):
+            frame.rename(recording / "a" / frame.name)
+        (recording / "depth.txt").write_text("".join(f"{n} a/{n}.png\n" for n in range(7, 12)))
+    else:
+        (recording / "8.png").symlink_to(tmp_path / "moved.png")
+    words = (recording, "--focal", "100", "--out", tmp_path / "out")
+    assert refused(capsys, *words).endswith("8.png: the file cannot be read: No such file or directory")
+    assert not (tmp_path / "out").exists()
+    assert run(*words, "--skip-unreadable", "1") == 1
+    assert "8.png: the file cannot be read" in capsys.readouterr().err
+    assert [frame["name"] for frame in report(tmp_path / "out")["each"]] == ["7", "9", "10", "11"]

@@ -19,7 +19,7 @@ _LARGEST_LIST: Final = 1 << 26
 def open_tum(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """Open a folder whose `depth.txt` has a line "time file" for every frame, the file's path from the folder.
 
-    Raises BadConfig for a list that is damaged or names files elsewhere, and for frames that are not there.
+    Raises BadConfig for a list that is damaged or names files elsewhere.
     """
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found a folder with {_LIST}: {path}")
