@@ -35,6 +35,7 @@ TABLES: Final = ("samples.jsonl", "samples.csv")
 Along = Literal["axis", "ray"]
 
 _FILES: Final = TomlFiles("set", Path(), SET_FORMAT)
+_NUMBERED: Final = re.compile("[+-]?0[0-9]")  # a name, as of subject 007
 _COLOUR: Final = re.compile(r"#[0-9a-fA-F]{6}")
 _SMALL: Final = 1 << 16
 _BORDER: Final = 0.05  # share of pixels of unknown colours up to which they are taken for blended borders
@@ -252,7 +253,7 @@ def read_rows(folder: Path, content: SetFile) -> SampleRows:
 
 
 def _json_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    for line, words in enumerate(text.splitlines(), 1):
+    for line, words in enumerate(text.split("\n"), 1):  # within a text JSON allows other separators of lines
         if words.strip():
             yield line, parse_json(words.encode(), f"{path}, line {line}")
 
@@ -273,7 +274,8 @@ def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _typed(column: Sequence[str]) -> Sequence[Value | None]:
-    numbers = () if any("_" in word for word in column) else (int, float)  # which read 1_1 as 11
+    named = any("_" in word or _NUMBERED.match(word) for word in column)  # int reads 1_1 as 11, and 007 as 7
+    numbers = () if named else (int, float)
     for read in (*numbers, lambda word: {"true": True, "false": False}[word.lower()], str):
         with contextlib.suppress(ValueError, KeyError):
             return [read(word) if word else None for word in column]

@@ -216,6 +216,10 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     "split": (table("key,split\nscene-000,val\n"), "line 2: 'split' must be one of train, test"),
     "cells": (table("key,split\nscene-000\n"), "line 2: a row has a cell"),
     "field": (lambda folder: (folder / "samples.jsonl").write_text('{"key": "scene-000", "Robot": "r"}'), "line 1:"),
+    "unprintable": (  # of the separators of lines, JSON allows some within a text
+        lambda folder: (folder / "samples.jsonl").write_text('{"key": "scene-000", "note": "a\u2028b"}'),
+        "line 1: field 'note' must be text that can be printed",
+    ),
     "format": (in_set("bodyseg renders 1", "2"), "'format' must be 'bodyseg renders 1'"),
 }
 

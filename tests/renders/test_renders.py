@@ -225,14 +225,16 @@ def test_planes_facing_normals_and_a_table_of_csv_go_with_samples(tmp_path: Path
     assert images.manifest.renderer == "external"
 
 
-def test_a_column_of_csv_with_underscores_is_text(tmp_path: Path) -> None:
+def test_a_column_of_csv_with_underscores_or_leading_zeros_is_text(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell")
     (folder / "samples.jsonl").unlink()
     subjects = ["1_1", "11", "2_0", "1_1"]  # Python reads the first as the second
-    lines = ["key,subject,take", *(f"scene-00{number},{subject},{number}" for number, subject in enumerate(subjects))]
+    robots = ["007", "7", "-01", "0"]
+    lines = ["key,subject,robot,take", *(f"scene-00{n},{subjects[n]},{robots[n]},{n}" for n in range(4))]
     (folder / "samples.csv").write_text("\n".join(lines) + "\n")
     table = packed(folder).table()
-    assert (table["subject"].tolist(), table["take"].tolist()) == (subjects, [0, 1, 2, 3])
+    assert (table["subject"].tolist(), table["robot"].tolist()) == (subjects, robots)
+    assert table["take"].tolist() == [0, 1, 2, 3]
 
 
 def test_names_of_two_sides_are_mirror_images(tmp_path: Path) -> None:
