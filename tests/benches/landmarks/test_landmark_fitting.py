@@ -336,7 +336,12 @@ WRONG = {
     ),
     "path": (["--mesh", "x.ply", "--path", "x"], "--path, --landmarks and --meshes belong to --source, not to --mesh"),
     "suffix": (["--mesh", "x.ply", "--propose", "x.txt"], "--propose must be a .json file, found x.txt"),
-    "no folder": (["--mesh", "x.ply", "--propose", "absent/x.json"], "cannot write absent/x.json: no such folder"),
+    "no folder": (
+        ["--mesh", "x.ply", "--propose", "absent/x.json"],
+        "--propose needs a file in a folder that is there",
+    ),
+    "no folder of the picture": (["--source", "open", "--out", "absent/x.png"], "--out needs a file in a folder"),
+    "in vain": (["--mesh", "x.ply", "--propose", "x.json", "--pymeshlab"], "--propose takes the mesh as it is"),
     "no mesh": (["--mesh", "absent.ply", "--propose", "x.json"], "cannot read absent.ply"),
     "several": (
         ["--source", "open", "--propose", "x.json", "--meshes", "posture-00", "posture-01"],
@@ -350,7 +355,7 @@ def test_wrong_arguments_are_refused_in_a_line(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["landmarks", *words, "--out", "x.png"]) == 2
+    assert main(["landmarks", "--out", "x.png", *words]) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1
     assert not list(tmp_path.iterdir())

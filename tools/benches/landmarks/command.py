@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benches.landmarks.body_views import HEIGHTS_PX, LabelledBody, draw_body_views
 from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, Units, UpAxis, metres_a_unit, open_source
-from bodyseg_data.commands import option
+from bodyseg_data.commands import check_target, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_atomically
@@ -46,6 +46,7 @@ class Options:
 def run(options: Options) -> int:
     """Draw and write the picture, after proposing landmarks if `--propose` is given."""
     check_picture(options.out)
+    check_target(options.out, "--out")
     if options.height not in HEIGHTS_PX:
         raise BadConfig(f"--height must be {HEIGHTS_PX.start} to {HEIGHTS_PX.stop - 1} pixels, found {options.height}")
     if (options.mesh is None) == (options.source is None):
@@ -54,6 +55,8 @@ def run(options: Options) -> int:
         raise BadConfig("--path, --landmarks and --meshes belong to --source, not to --mesh")
     if options.mesh is not None and options.propose is None:
         raise BadConfig("--mesh needs --propose; a mesh that has landmarks is drawn by --source folder")
+    if options.propose is not None and (options.pymeshlab or options.landmarks is not None):
+        raise BadConfig("--propose takes the mesh as it is, without landmarks: leave out --pymeshlab and --landmarks")
     labelled = _listed(options) if options.propose is None else [_proposed(options, options.propose)]
     save_picture(draw_body_views(labelled, options.height), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
@@ -88,9 +91,7 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
         raise BadConfig(f"--propose must be a .json file, found {out}")
     if out.exists():
         raise BadConfig(f"{out} is there already, perhaps corrected by hand: propose to another file, or delete it")
-    for file in (out, options.out):  # before the work, not after it
-        if not file.parent.is_dir():
-            raise BadConfig(f"cannot write {file}: no such folder")
+    check_target(out, "--propose")
     mesh, title, upward = _to_propose(options)
     from benches.landmarks.proposal import propose
 
