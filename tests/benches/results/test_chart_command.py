@@ -123,3 +123,4 @@ def test_a_page_without_a_template_is_refused(results: Path, tmp_path: Path, mon
     monkeypatch.setattr(chart, "draw", lambda choice, *_: Picture(b"", b""))
     with pytest.raises(BadConfig, match="--page needs a template of UTF-8 text: .*index.md.in"):
         run(Options(in_=results, out=tmp_path / "charts", page=(tmp_path / "index.md",)))
+    assert not (tmp_path / "charts").exists(), "before the charts are drawn"

@@ -38,6 +38,7 @@ def run(options: Options) -> int:
         raise BadConfig(f"--in must be a folder, found {options.in_}")
     if options.out.resolve() == options.in_.resolve():
         raise BadConfig(f"--out must be another folder than --in, where pictures have the same names: {options.out}")
+    templates = {page: _template(page) for page in options.page}  # before the work, not after it
     drawn: dict[str, Picture] = {}
     descriptions: dict[str, Any] = {}
     left_out: dict[str, str] = {}
@@ -65,19 +66,18 @@ def run(options: Options) -> int:
     summary = {"charts": descriptions, "left_out": sorted(left_out)}
     _write(options.out, drawn, summary)
     sys.stderr.write(f"wrote {len(drawn)} charts into {options.out}\n")
-    for page in options.page:
-        _fill_page(page, options.in_, summary)
+    for page, text in templates.items():
+        write_result(page, render_page(text, options.in_, {"charts": summary}).encode())
         sys.stderr.write(f"wrote {page}\n")
     return 0
 
 
-def _fill_page(page: Path, figures: Path, summary: dict[str, Any]) -> None:
+def _template(page: Path) -> str:
     template = page.with_name(page.name + ".in")
     try:
-        text = template.read_text(encoding="utf-8")
+        return template.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise BadConfig(f"--page needs a template of UTF-8 text: {template}: {error}") from error
-    write_result(page, render_page(text, figures, {"charts": summary}).encode())
 
 
 def _write(out: Path, drawn: dict[str, Picture], descriptions: dict[str, Any]) -> None:
