@@ -22,7 +22,7 @@ from bodyseg_data.core import BadConfig, NotedProgress, silent
 from bodyseg_data.drawing import new_chart, plain_axes, save_chart
 from bodyseg_data.labels import BACKGROUND, PARTS33
 from bodyseg_model.evaluation import MEASURABLE, ConfusionMatrix, GrossErrors, count_pairs, over_seeds, pairs_of
-from bodyseg_model.networks import Network, Trained, device_of, load_network, predict
+from bodyseg_model.networks import CardWords, Network, Trained, device_of, load_network, predict
 from bodyseg_model.stability.scenes import CLEAN, LabelledImage, Scenes, Sweep, SweepPoint
 
 Tree = dict[str, Any]
@@ -214,9 +214,15 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
 
 
 def group(runs: Sequence[Run]) -> list[Group]:
-    """Group runs of one network and training, as far as it has come, but for seeds, in the order of first runs."""
+    """Group runs of one network and training, as far as it has come, but for seeds, in the order of first runs. Raises
+    BadConfig for the same weights twice, which would count as two seeds.
+    """
     alike: dict[str, list[Run]] = {}
+    first = dict[str | None, Run]()
     for run in runs:
+        digest = run.trained.card.get(CardWords.WEIGHTS_SHA256)
+        if digest is not None and first.setdefault(digest, run) is not run:
+            raise BadConfig(f"a network counts once: {first[digest].path} and {run.path} have the same weights")
         alike.setdefault(_identity(run.trained.card), []).append(run)
     labels = _labels([members[0] for members in alike.values()])
     return [Group(label, tuple(members)) for label, members in zip(labels, alike.values(), strict=True)]

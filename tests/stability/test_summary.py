@@ -174,6 +174,9 @@ def test_groups_differ_by_more_than_the_seed() -> None:
     assert [len(each.runs) for each in group(fine)] == [1, 2]
     for facts in ({"last_step": 1}, {"earlier_steps": [{"steps": 3, "until": 2}]}, {"validation": {"every": 5}}):
         assert [len(each.runs) for each in group([made("all-0", 0), made("all-1", 1, **facts)])] == [1, 1]
+    copied = [made(name, 0, weights_sha256="aa") for name in ("all-0", "copy")]
+    with pytest.raises(BadConfig, match="^a network counts once: .*all-0 and .*copy have the same weights$"):
+        group([*copied, made("all-1", 1, weights_sha256="bb")])
     neither = (made("all-0", 0), made("all-1", 1, recipe={"steps": 2}))
     assert [each.label for each in group(neither)] == ["all-0", "all-1"]
 
