@@ -90,6 +90,6 @@ def checked_budget(on_error: str, budget: float | None, samples: int) -> int | N
     if isinstance(budget, int | float | np.integer | np.floating) and not isinstance(budget, bool):
         if 0 <= budget < 1:
             return int(budget * samples * (1 + 1e-12))  # 29 for 0.29 of 100, which is 28.999... as a float
-        if budget >= 1 and float(budget).is_integer():
+        if budget >= 1 and budget % 1 == 0:
             return int(budget)
     raise BadConfig(f"skip_budget must be a number of samples, or a share below 1, found {budget!r}")

@@ -42,7 +42,7 @@ class OnFaults:
         check_fields(self)
         if (self.on_error == "skip") != (self.skip_budget is not None):
             raise BadConfig(f"on_error='skip' needs a skip_budget, found {self.on_error!r} and {self.skip_budget!r}")
-        if (budget := self.skip_budget) is not None and not (0 <= budget < 1 or (budget >= 1 and budget.is_integer())):
+        if (budget := self.skip_budget) is not None and not (0 <= budget < 1 or (budget >= 1 and budget % 1 == 0)):
             raise BadConfig(f"skip_budget must be a number of meshes, or a share below 1, found {self.skip_budget!r}")
 
     def budget(self, meshes: int) -> int:

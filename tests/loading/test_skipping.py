@@ -86,6 +86,7 @@ def test_a_share_of_samples_is_cut_as_its_decimals_say() -> None:
         for hundredths in range(1, 100):
             assert checked_budget("skip", hundredths / 100, samples) == hundredths * samples // 100
     assert [checked_budget("skip", budget, 8) for budget in (np.int64(3), np.float32(0.5))] == [3, 4]
+    assert checked_budget("skip", 10**400, 8) == 10**400, "which no float holds"
     assert checked_budget("skip", 1 / 3, 3) == 1 and checked_budget("skip", 0.999, 1000) == 999
 
 

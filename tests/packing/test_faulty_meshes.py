@@ -357,7 +357,7 @@ def test_options_that_do_not_fit_are_one_line(options: dict[str, Any], message: 
 
 
 def test_a_share_of_meshes_is_cut_as_its_decimals_say() -> None:
-    for share, meshes, most in [(0.29, 100, 29), (0.57, 100, 57), (0.6, 8, 4), (1 / 3, 3, 1), (7.0, 100, 7), (0, 9, 0)]:
+    for share, meshes, most in [(0.29, 100, 29), (0.57, 100, 57), (0.6, 8, 4), (1 / 3, 3, 1), (7.0, 100, 7), (0, 9, 0), (10**400, 9, 10**400)]:
         assert OnFaults("skip", share).budget(meshes) == most
 
 
