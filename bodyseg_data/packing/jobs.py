@@ -10,12 +10,14 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, Future, InvalidStateError, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from bodyseg_data.core import BadConfig, reported, signals_held
 from bodyseg_data.machine import processors
 
 Result = TypeVar("Result")
+
+_TOO_MANY: Final = "no process can be started: ulimit -u or the container allows no more", BadConfig, BlockingIOError
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,8 @@ def processes(workers: int | None) -> Iterator[Engine]:
     # Fresh processes, not forks: a fork of a process that has used threads, or drawn with OpenGL, can deadlock.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    with reported("processes need locks, which the system keeps in /dev/shm", BadConfig, OSError):
+    locks = "processes need locks, which the system keeps in /dev/shm"
+    with reported(locks, BadConfig, OSError), reported(*_TOO_MANY):
         executor = _Workers(count, mp_context=context, initializer=_end_with_parent)
     try:
         yield Engine(executor, count)
@@ -85,7 +88,7 @@ class _Workers(ProcessPoolExecutor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         # Workers start in `submit`, with the signals blocked that are blocked now. Others are held: one that came
         # between start and initialisation would leave the worker behind, with a traceback of its own.
-        with signals_held():
+        with signals_held(), reported(*_TOO_MANY):
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 future = super().submit(fn, *args, **kwargs)

@@ -63,6 +63,19 @@ def test_a_machine_without_shared_memory_is_told_what_is_missing(monkeypatch: py
         pass
 
 
+@pytest.mark.parametrize("place", ["synchronize._multiprocessing.SemLock", "context.SpawnProcess._Popen"])
+def test_a_limit_of_processes_is_no_fault_of_folders(
+    place: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fork(*arguments: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(f"multiprocessing.{place}", fork)
+    refused = pytest.raises(BadConfig, match="^no process can be started: ulimit -u or the container allows no more")
+    with refused, processes(1) as engine:
+        pack(PACKING, tmp_path / "set", engine.executor, 1)
+
+
 def until(true: Callable[[], Any], what: str) -> None:
     deadline = time.monotonic() + WITHIN_S
     while not true():
