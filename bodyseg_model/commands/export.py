@@ -11,7 +11,7 @@ from bodyseg_data.commands import check_target, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json, write_json
 from bodyseg_model import networks, runtimes
-from bodyseg_model.networks import CardWords
+from bodyseg_model.networks import CardWords, RunFiles
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
@@ -37,6 +37,8 @@ def run(options: Options) -> int:
             raise BadConfig(f"{flag} must be a {suffix} file, found {path}")
         if path is not None:
             check_target(path, flag)
+            if path.name in (RunFiles.NETWORK, RunFiles.BEST) and path.with_name(RunFiles.PLAN).exists():
+                raise BadConfig(f"{flag} must not replace the weights of a training, of 32 bits, found {path}")
     trained = networks.load_network(options.run)
     scores, confusion = dict[str, Any](), None
     if options.scores is not None:

@@ -44,6 +44,8 @@ def test_an_exported_network_is_smaller_and_says_what_it_is(run: Path, tmp_path:
 
 def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bad.json").write_text("[]")
+    (run / "run.json").write_text("{}")
+    weights = (run / "network.safetensors").read_bytes()
     (tmp_path / "other.json").write_text('{"card": {"weights_sha256": "of another network"}}')
     for words, message in (
         (["--out", str(tmp_path / "x.pth")], "--out must be a .safetensors file"),
@@ -53,6 +55,7 @@ def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.Capt
         ),
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "bad.json")], "must hold a JSON object"),
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "other.json")], "--scores must be what"),
+        (["--out", str(run / "network.safetensors")], "--out must not replace the weights of a training"),
         (["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")], "a network is compact or large"),
     ):
         assert main(["export", "--run", str(run), *words]) == 2
@@ -61,6 +64,7 @@ def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.Capt
         assert said.count("\n") == 1
         assert not list(tmp_path.glob("x.*"))
     assert not json.loads((run / "network.json").read_text()).get("scores")
+    assert (run / "network.safetensors").read_bytes() == weights
 
 
 def test_scores_and_the_card_do_not_replace_each_other(
