@@ -106,7 +106,10 @@ def test_scores_at_pixels_are_those_of_the_interpolated_image(step: int, stride:
 def test_both_forms_of_interpolation_have_the_same_bits_and_gradients(dtype: torch.dtype) -> None:
     draw = torch.Generator().manual_seed(8)
     cells = torch.randn(4, 33, 9, 8, generator=draw).to(dtype)
-    for layout in (cells.to(memory_format=torch.channels_last)[..., :7], cells[..., :7]):
+    cells_last = cells.to(memory_format=torch.channels_last)
+    images_last = cells.permute(2, 3, 0, 1).contiguous().permute(2, 3, 0, 1)
+    one, same_places = cells_last[:1].expand(4, -1, -1, -1), cells_last[..., :1, :1].expand(-1, -1, 9, 7)
+    for layout in (cells_last[..., :7], cells[..., :7], images_last[..., :7], one[..., :7], same_places):
         empty = torch.full((1, 35, 27), 255, dtype=torch.uint8)
         labels = torch.cat([empty, batch(35, 27)[1], empty])
         pixels = SelectedPixels.of(labels, 1, 3, 4)
