@@ -120,7 +120,8 @@ def view_body(
     ends = loops.map_to_view(rows, columns, mapping, down, across)
     scale = focal_px / camera.focal_px
     top, left = (math.floor(end - scale / 2) for end in ends[::2])
-    bottom, right = (math.ceil(end + scale / 2) for end in ends[1::2])
+    # Half a pixel is less than rounding where a body is too near to be measured.
+    bottom, right = (max(math.ceil(end + scale / 2), math.floor(end) + 1) for end in ends[1::2])
     needed = max(rig.camera.rows, bottom - top + 2 * MARGIN), max(rig.camera.columns, right - left + 2 * MARGIN)
     if max(needed) > LARGEST_SIDE:
         raise BadConfig(

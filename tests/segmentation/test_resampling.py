@@ -224,6 +224,13 @@ def test_ranges_that_are_none_are_refused(value: float, named: str) -> None:
             view_body(image, np.arange(30), camera(6, 5, 50.0), PAPER)
 
 
+@pytest.mark.parametrize("range_m", [1e-17, 4.6e-41])  # the second: 1 m, its bytes in the other order
+def test_a_body_that_is_far_smaller_than_a_pixel_of_the_view_is_one_pixel(range_m: float) -> None:
+    view = viewed(np.full((6, 5), range_m, np.float32), camera(6, 5, 50.0))
+    assert len(np.unique(view.view_pixels)) == np.count_nonzero(view.range_m) == 1
+    assert (view.back(view.range_m) == np.float32(PAPER.stand_off_m)).all()
+
+
 def test_a_pixel_of_the_view_is_the_pixel_that_its_centre_falls_in() -> None:
     """By a slow loop with rotation matrices, for some pixels of a picture without holes."""
     draws = np.random.default_rng(2)
