@@ -65,7 +65,8 @@ def label_pixels(
 def number_pixels(
     places: Floats, range_m: Floats, stride: int, labels: NDArray[np.uint8] | None, numbers: NDArray[np.uint16]
 ) -> None:
-    """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others stay as they are.
+    """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others stay as they are, as do those
+    whose place is NaN.
 
     places: as scores of `label_pixels`, [B, h, w, 3]. range_m, stride: as there. labels: parts, uint8 [B, H, W], whose
     points alone are taken; None for any. Raises MissingLibrary without scipy.
@@ -88,14 +89,16 @@ def number_image(places: Any, range_m: Any, down: Any, across: Any, parts: Any, 
             if range_m[row, column] > 0:
                 left, right = max(columns[column], 0), min(columns[column] + 1, width - 1)
                 a, b, c, d = top[left], top[right], bottom[left], bottom[right]
-                part, cube = parts[row, column], 0
+                part, cube, known = parts[row, column], 0, True
                 for axis in range(3):
                     above = a[axis] + (b[axis] - a[axis]) * column_weight[column]
                     below = c[axis] + (d[axis] - c[axis]) * column_weight[column]
                     at = (above + (below - above) * row_weight[row] - grids.corner[part, axis]) / grids.side
                     size = grids.shape[part, axis]
+                    known &= not np.isnan(at)  # NaN as a whole number may be any
                     cube = cube * size + int(min(max(at, _NOTHING), np.float32(size - 1)))
-                numbers[row, column] = grids.numbers[grids.first[part] + cube]
+                if known:
+                    numbers[row, column] = grids.numbers[grids.first[part] + cube]
 
 
 @lru_cache(maxsize=64)

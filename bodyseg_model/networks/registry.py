@@ -81,7 +81,7 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
 
     network: in evaluation mode. It sees whole images, as in training: how much is empty around a body changes its
     labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
-    wrong shape, a range that is not finite, or a network in training mode.
+    wrong shape, also of scores, a range that is not finite, or a network in training mode.
     """
     return _predict(network, range_m, network.scores if isinstance(network, Network) else None)
 
@@ -89,8 +89,8 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
 @torch.inference_mode()
 def predict_dense(network: Network, range_m: torch.Tensor, by_part: bool) -> tuple[Prediction, NDArray[np.uint16]]:
     """As `predict`, and the number of the template's point that each pixel shows, uint16 [B, H, W], `NOWHERE` where
-    nothing was measured (`bodyseg_data.load_template`). by_part: classes are the 33 parts, and points are of the
-    label's part: a hand's of the hand, however near a place is to the hip.
+    nothing was measured, or its place is NaN (`bodyseg_data.load_template`). by_part: classes are the 33 parts, and
+    points are of the label's part: a hand's of the hand, however near a place is to the hip.
 
     Raises BadConfig for a network that knows no places, too; MissingLibrary without numba or scipy.
     """
@@ -98,6 +98,7 @@ def predict_dense(network: Network, range_m: torch.Tensor, by_part: bool) -> tup
 
     def scores(range_m: torch.Tensor) -> torch.Tensor:
         both = network.scores_and_places(range_m).float()
+        _check_scores(network, both, range_m, network.classes + 3)
         seen.append(np.ascontiguousarray(both[:, network.classes :].permute(0, 2, 3, 1).cpu().numpy()))
         return both[:, : network.classes]
 
@@ -123,7 +124,18 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
-    return _label_by_torch(network, scores(range_m).float(), measured, empty) if measured.any() else empty
+    if not measured.any():
+        return empty
+    found = scores(range_m).float()
+    _check_scores(network, found, range_m, network.classes)
+    return _label_by_torch(network, found, measured, empty)
+
+
+def _check_scores(network: Network, scores: torch.Tensor, range_m: torch.Tensor, count: int) -> None:
+    """Raise BadConfig for scores of another shape than `Network.scores` promises: loops check no length."""
+    wanted = [len(range_m), count, *(-(-side // network.output_stride) for side in range_m.shape[2:])]
+    if list(scores.shape) != wanted:
+        raise BadConfig(f"{type(network).__name__} must give scores {wanted}, found {list(scores.shape)}")
 
 
 def _check_finite(finite: bool) -> None:
@@ -145,6 +157,7 @@ def _predict_on_processor(
     if not measured.any():
         return found
     scores = compute(range_m).float()
+    _check_scores(network, scores, range_m, network.classes)
     if network.output_stride > 1 and use_compiled():
         by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
         if np.isfinite(by_point).all():

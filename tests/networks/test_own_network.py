@@ -28,7 +28,8 @@ from bodyseg_model import (
     wrapped,
     write_onnx,
 )
-from bodyseg_model.networks import FlipAverage
+from bodyseg_model.networks import FlipAverage, Network
+from bodyseg_model.networks.registry import predict_dense
 
 CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -126,6 +127,22 @@ def test_classes_may_be_names() -> None:
     assert (Segmenter(mine, CAMERA)(np.full((60, 80), 2, np.float32)).labels < 2).all()
 
 
+class TooFew(Network):
+    """Scores of fewer points than its stride promises."""
+
+    output_stride = 4
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.eval()
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(len(range_m), 33, 1, 1)
+
+    def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(len(range_m), 36, 1, 1)
+
+
 FRAME = torch.zeros(1, 1, 8, 8)
 UNWRAPPED = "^a network must be a bodyseg_model.Network: `bodyseg_model.wrapped.* is one, found Conv2d$"
 CARDLESS = r"^a network with its card is needed, as load_network\(.*\) and wrapped\(module\) give it, found Conv2d$"
@@ -156,6 +173,8 @@ PLAIN: Any = nn.Conv2d(1, 33, 1)
             r"^background must be of class Background, found 'keep'$",
         ),
         (lambda: predict(PLAIN, FRAME), UNWRAPPED),
+        (lambda: predict(TooFew(), FRAME + 2), r"^TooFew must give scores \[1, 33, 2, 2\], found \[1, 33, 1, 1\]$"),
+        (lambda: predict_dense(TooFew(), FRAME + 2, False), r"^TooFew .* \[1, 36, 2, 2\], found \[1, 36, 1, 1\]$"),
         (lambda: on_backend(PLAIN), UNWRAPPED),
         (lambda: write_onnx("x.onnx", PLAIN), CARDLESS),
         (
