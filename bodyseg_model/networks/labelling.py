@@ -65,8 +65,8 @@ def label_pixels(
 def number_pixels(
     places: Floats, range_m: Floats, stride: int, labels: NDArray[np.uint8] | None, numbers: NDArray[np.uint16]
 ) -> None:
-    """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others stay as they are, as do those
-    whose place is NaN.
+    """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others, and those whose place is
+    NaN, stay as they are.
 
     places: as scores of `label_pixels`, [B, h, w, 3]. range_m, stride: as there. labels: parts, uint8 [B, H, W], whose
     points alone are taken; None for any. Raises MissingLibrary without scipy.
