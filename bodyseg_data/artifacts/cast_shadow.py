@@ -20,10 +20,12 @@ from bodyseg_data.samples import FARTHEST_STEPS
 def seen_by_projectors(camera_range: NDArray[np.uint16], rig: Rig) -> NDArray[np.uint16]:
     """The range of the rig's projectors, uint16 [Hp, Wp], one below the other, made of the camera's, uint16 [H, W].
 
-    In the rig's steps, 0 where nothing is known. Raises MissingLibrary without numba.
+    In the rig's steps, 0 where nothing is known. Raises BadSample for another kind or shape than the rig's camera has,
+    MissingLibrary without numba.
     """
     found = np.zeros(rig.projector_shape, np.uint16)
     for test, image in zip(shadow_tests(rig), np.split(found, [rig.projector.rows]), strict=False):
+        test.check(camera_range, image, camera_range != 0)
         slopes = (each.astype(np.float32) for each in (test.of_columns, test.of_rows))
         places = np.empty((3, *camera_range.shape), np.float32)
         joined = _joined(camera_range, test.edge_steps), _joined(camera_range.T, test.edge_steps).T

@@ -10,6 +10,7 @@ from open_sets import cell_rig
 
 from bodyseg_data.artifacts import ShadowTest, seen_by_projectors
 from bodyseg_data.artifacts.cast_shadow import _joined
+from bodyseg_data.core import BadSample
 from bodyseg_data.rigs import Rig
 
 
@@ -43,6 +44,12 @@ def test_what_the_camera_does_not_see_is_not_known() -> None:
     assert not seen_by_projectors(np.zeros((16, 20), np.uint16), rig).any()
     whole, holed = (seen_by_projectors(slanted(rig, gap)[0], rig) for gap in (False, True))
     assert np.count_nonzero(holed) < np.count_nonzero(whole)
+
+
+@pytest.mark.parametrize("image", [np.ones((16, 21), np.uint16), np.ones((17, 20), np.uint16), np.ones((16, 20))])
+def test_an_image_that_is_not_the_cameras_is_refused(image: np.ndarray) -> None:
+    with pytest.raises(BadSample, match=r"^the camera range must be .* \(16, 20\)"):
+        seen_by_projectors(image, cell_rig())
 
 
 def test_two_projectors_stand_one_below_the_other() -> None:
