@@ -223,6 +223,7 @@ class CarriedLabels:
         """
         some = body.pixels[:: len(body.pixels) // _LEAST_PIXELS + 1]
         side = max(1, round(self.carrying.cell_m * camera.focal_px / float(np.median(body.range_m[some]))))
+        side = min(side, max(camera.columns, camera.rows))
         for _, lens, _ in [] if self._last is None else self._last.bodies:
             if max(side, lens.side) <= _NEARLY * min(side, lens.side):
                 return lens

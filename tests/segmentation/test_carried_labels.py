@@ -71,10 +71,11 @@ def test_the_first_frame_is_the_networks_own() -> None:
     np.testing.assert_array_equal(call(carried, range_m, labels), labels)
 
 
-def test_a_body_too_small_for_a_cell_keeps_the_networks_labels() -> None:
+@pytest.mark.parametrize("nearest_m", [0.2, 1e-20])
+def test_a_body_too_small_for_a_cell_keeps_the_networks_labels(nearest_m: float) -> None:
     carried, (range_m, labels) = CarriedLabels(), pillar()
     few = np.zeros_like(range_m)
-    few[1, 1] = 0.2  # of cells of so many pixels, every third or so row and column is used
+    few[1, 1] = nearest_m  # of cells of so many pixels, every third or so row and column is used
     for _ in range(2):
         assert call(carried, few, np.where(few > 0, np.uint8(3), np.uint8(BACKGROUND)))[1, 1] == 3
         np.testing.assert_array_equal(call(carried, range_m, labels), labels)
