@@ -97,8 +97,7 @@ def predict_dense(network: Network, range_m: torch.Tensor, by_part: bool) -> tup
     seen: list[NDArray[np.float32]] = []
 
     def scores(range_m: torch.Tensor) -> torch.Tensor:
-        both = network.scores_and_places(range_m).float()
-        _check_scores(network, both, range_m, network.classes + 3)
+        both = _scores_of(network, network.scores_and_places, range_m, places=3)
         seen.append(np.ascontiguousarray(both[:, network.classes :].permute(0, 2, 3, 1).cpu().numpy()))
         return both[:, : network.classes]
 
@@ -126,16 +125,19 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
     empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
     if not measured.any():
         return empty
-    found = scores(range_m).float()
-    _check_scores(network, found, range_m, network.classes)
-    return _label_by_torch(network, found, measured, empty)
+    return _label_by_torch(network, _scores_of(network, scores, range_m), measured, empty)
 
 
-def _check_scores(network: Network, scores: torch.Tensor, range_m: torch.Tensor, count: int) -> None:
-    """Raise BadConfig for scores of another shape than `Network.scores` promises: loops check no length."""
-    wanted = [len(range_m), count, *(-(-side // network.output_stride) for side in range_m.shape[2:])]
+def _scores_of(
+    network: Network, compute: Callable[[torch.Tensor], torch.Tensor], range_m: torch.Tensor, places: int = 0
+) -> torch.Tensor:
+    """Compute scores, float32. Raises BadConfig for another shape than `Network` promises: loops check no length."""
+    scores = compute(range_m).float()
+    sides = (-(-side // network.output_stride) for side in range_m.shape[2:])
+    wanted = [len(range_m), network.classes + places, *sides]
     if list(scores.shape) != wanted:
         raise BadConfig(f"{type(network).__name__} must give scores {wanted}, found {list(scores.shape)}")
+    return scores
 
 
 def _check_finite(finite: bool) -> None:
@@ -156,8 +158,7 @@ def _predict_on_processor(
     found, measured = Prediction(torch.from_numpy(labels), torch.from_numpy(confidence)), metres > 0
     if not measured.any():
         return found
-    scores = compute(range_m).float()
-    _check_scores(network, scores, range_m, network.classes)
+    scores = _scores_of(network, compute, range_m)
     if network.output_stride > 1 and use_compiled():
         by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
         if np.isfinite(by_point).all():
