@@ -352,7 +352,7 @@ class _PosedBody:
         if sweep == "tilt":
             return self._rendered(rig, rig.camera, rig.stand_off_m, strength)
         if sweep in ("rig", "rig_resampled"):
-            camera = sensor(strength)
+            camera = mounted(sensor(strength), rig)
             made = self._rendered(rig, camera, rig.stand_off_m)
             return made if sweep == "rig" else resampled(made, camera, rig)
         if sweep == "desk":
@@ -385,9 +385,10 @@ class _PosedBody:
         """Image of the other camera with the longest focal length, level and near, resampled; the frame's lower end is
         at a landmark.
         """
-        camera = sensor(_FOCALS_PX[0])
+        upright = sensor(_FOCALS_PX[0])
         border = self.body.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]
-        above = _DESK_M * (camera.rows - camera.centre_px[1]) / camera.focal_px
+        above = _DESK_M * (upright.rows - upright.centre_px[1]) / upright.focal_px
+        camera = mounted(upright, rig)
         placed = looking_down(camera, np.add(border, (0, above, 0)), self.azimuth_deg, _DESK_M, 0.0)
         return resampled(self._seen_by(placed, rig), camera, rig)
 
@@ -430,14 +431,19 @@ def with_baseline(rig: Rig, baseline_m: float) -> Rig:
 def looking_down(
     camera: Camera, centre: NDArray[np.float64], azimuth_deg: int, distance_m: float, tilt_deg: float
 ) -> PlacedCamera:
-    """A camera whose axis points at a body's centre from `distance_m` away and `tilt_deg` above the horizontal."""
-    axes = axes_at(azimuth_deg, -tilt_deg)
+    """A camera, with its roll, whose axis points at a body's centre from `distance_m` away and `tilt_deg` above."""
+    axes = axes_at(azimuth_deg, -tilt_deg, camera.roll_deg)
     return PlacedCamera(camera, axes, centre - distance_m * axes[2])
 
 
 def sensor(focal_px: float) -> Camera:
     """The camera in `cameras.other_sensors` that has this focal length, pixels."""
     return next(other.camera for other in other_sensors() if other.camera.focal_px == focal_px)
+
+
+def mounted(camera: Camera, rig: Rig) -> Camera:
+    """The upright camera of another sensor, turned as the rig's camera is, to the nearest right angle."""
+    return camera.turned(-round(rig.camera.roll_deg / 90))
 
 
 def resampled(image: LabelledImage, camera: Camera, rig: Rig) -> LabelledImage:

@@ -63,6 +63,23 @@ def test_clean_scenes_are_the_stored_images(scenes: Scenes, images: RangeImages)
         np.testing.assert_array_equal(a.truth, sample.labels[sample.range > 0])
 
 
+def test_before_a_camera_that_is_mounted_turned_every_scene_is_turned(
+    pack_figures: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    shape, grid = {"rows": RIG.camera.columns, "columns": RIG.camera.rows}, ViewGrid(distances_cm=(250,), azimuths=1)
+    lying = replace(RIG, camera=replace(RIG.camera, roll_deg=90.0, centre_px=RIG.camera.centre_px[::-1], **shape))
+    upright, turned = (
+        Scenes(RangeImages(pack_figures(tmp_path / str(number), views=grid, rig=rig), "none", "test"), 1)
+        for number, rig in enumerate((RIG, lying))
+    )
+    for condition in (*CLEAN.values(), SweepPoint("occlusion", 0.25), SweepPoint("rig", 525.0), SweepPoint("desk", 1)):
+        (a,), (b,) = (scenes.labelled_images(condition) for scenes in (upright, turned))
+        np.testing.assert_array_equal(np.sort(b.truth), np.sort(a.truth), err_msg=condition.name)
+        if condition.sweep != "desk":  # which is resampled
+            np.testing.assert_array_equal(np.rot90(b.range_m, -1), a.range_m, err_msg=condition.name)
+
+
 def test_each_sample_is_seen_by_its_own_camera(tmp_path: Path) -> None:
     wide = replace(RIG, camera=replace(RIG.camera, focal_px=RIG.camera.focal_px / 2))
     shape = RIG.camera.rows, RIG.camera.columns
