@@ -253,7 +253,9 @@ def open_store(
         hint = "" if address is not None else ": an address begins with its protocol, as http:// or s3://"
         raise BadConfig(f"storage_options and retry_policy are for remote sets, found them given for {path!r}{hint}")
     if address is None:
-        local_path = Path(path)
+        local_path, start = Path(path), path.partition("/")[0]
+        if ":" in start and not Path(start).exists():  # as in s3:/bucket, and scp's host:/folder
+            raise BadConfig(f"an address has :// in it, a folder of such a name ./ before it, found {path!r}")
     elif address[2].startswith("/"):
         local_path = Path(unquote(address[2]))
     else:

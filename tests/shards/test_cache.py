@@ -109,6 +109,7 @@ def test_a_path_names_a_folder_and_some_of_its_shards(path: str, folder: str, pa
         ("nosuch://host/shards", {}, "nosuch://host/shards: Protocol not known: nosuch"),
         ("file://data/shards", {}, "a file:// address has a path from the root on, like file:///data/shards, found"),
         ("http://[::1/shards", {}, "not an address: Invalid IPv6 URL"),
+        ("s3:/bucket/shards", {}, "an address has :// in it, a folder of such a name ./ before it"),
         (
             "shards",
             {"storage_options": {"key": "x"}},
