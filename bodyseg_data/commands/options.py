@@ -188,6 +188,8 @@ def _value(kind: Any, text: str) -> Any:
     """Convert one value. cyclopts alone would round 2.7 to a whole number, and take an empty path for this folder."""
     if kind is Path and not text:
         raise ValueError
+    if kind is Path and "://" in text:  # it would be a folder "s3:" here
+        raise BadConfig(f"a file or folder of this machine is needed, found the address {last_name(text)}")
     return kind(text)
 
 

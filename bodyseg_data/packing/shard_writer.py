@@ -97,8 +97,8 @@ class ShardWriter:
         check_choice("projector", projector, (*get_args(ProjectorKind), None))
         if not isinstance(source, str) or not source or not source.isprintable():
             raise BadConfig(f"source must be a name that can be printed, found {source!r}")
-        if not isinstance(out, str | Path) or not str(out).strip():
-            raise BadConfig(f"out must be the path of a folder, found {out!r}")
+        if not isinstance(out, str | Path) or not str(out).strip() or "://" in str(out):
+            raise BadConfig(f"out must be the path of a folder of this machine, found {out!r}")
         for name, kinds in (("planes", planes), ("fields", fields)):
             if not isinstance(kinds, Mapping | None):
                 raise BadConfig(f"{name} must give a kind for each name, found {kinds!r:.200}")

@@ -95,6 +95,7 @@ def test_a_later_option_counts_and_a_value_may_follow_an_equals_sign() -> None:
         (["x", "--name", "x"], "Unknown option: --name."),
         (["x", "--out", ""], 'for --out: unable to convert "" into Path'),
         (["x", "--out="], 'for --out: unable to convert "" into Path'),
+        (["x", "--out", "s3://me:secret@bucket/x"], "of this machine is needed, found the address s3://bucket/x"),
     ],
 )
 def test_a_bad_argument_is_one_line(words: list[str], message: str) -> None:

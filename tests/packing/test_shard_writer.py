@@ -590,8 +590,12 @@ def test_options_out_of_range_are_one_line(tmp_path: Path) -> None:
         ({"source": 3}, "source must be a name"),
         ({"planes": ["instances"]}, r"planes must give a kind for each name, found \['instances'\]"),
         ({"fields": ["age"]}, r"fields must give a kind for each name, found \['age'\]"),
-        ({"out": ""}, "out must be the path of a folder, found ''"),  # not the folder that a program runs in
-        ({"out": None}, "out must be the path of a folder, found None"),
+        (
+            {"out": ""},
+            "out must be the path of a folder of this machine, found ''",
+        ),  # not the folder that a program runs in
+        ({"out": None}, "out must be the path of a folder of this machine, found None"),
+        ({"out": "s3://bucket/set"}, "out must be the path of a folder of this machine, found 's3:"),
     ):
         with pytest.raises(BodysegError, match=message):
             opened(**options)
