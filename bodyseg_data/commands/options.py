@@ -70,7 +70,8 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
     except CycloptsError as error:
         wrong = str(error).rstrip(".").replace("Unused Tokens:", "no option takes")
         if isinstance(error, MissingArgumentError) and error.keyword is None:  # the option was not given at all
-            wrong = wrong.replace("requires an argument", "is missing")
+            taken = "" if "--" in wrong or not arguments else ", or taken by an option before it: give it first"
+            wrong = wrong.replace("requires an argument", f"is missing{taken}")
         raise BadConfig(f"{wrong} (see {program} --help)") from None
     sys.stdout.write("".join(f"{line.rstrip()}\n" for line in page.getvalue().splitlines()))
     return options

@@ -80,6 +80,7 @@ def test_a_later_option_counts_and_a_value_may_follow_an_equals_sign() -> None:
     ("words", "message"),
     [
         ([], "Parameter NAME is missing (see bodyseg test --help)"),
+        (["--out", "x", "--loud"], "NAME is missing, or taken by an option before it: give it first (see"),
         (["x", "y"], "no option takes ['y'] (see bodyseg test --help)"),
         (["x", "--count"], "--count requires an argument"),
         (["x", "--sizes"], "--sizes requires at least 1"),
