@@ -196,12 +196,8 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
 
 def _is_of(manifest: Manifest, digest: str, shard_samples: int) -> bool:
     """True for the set of a plan, cut by so many samples a shard, which not every plan tells."""
-    for split in SPLITS:
-        sizes = [len(shard) for shard in manifest.shards if shard.split == split]
-        largest = max(sizes, default=0)
-        if largest > shard_samples or (len(sizes) > 1 and largest < shard_samples):
-            return False
-    return manifest.plan == digest
+    splits = ([len(shard) for shard in manifest.shards if shard.split == split] for split in SPLITS)
+    return manifest.plan == digest and all(sizes[0] == min(shard_samples, sum(sizes)) for sizes in splits if sizes)
 
 
 def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
