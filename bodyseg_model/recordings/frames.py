@@ -87,19 +87,14 @@ def open_recording(
         raise BadConfig(f"step_m must be above 0, found {step_m!r}")
     try:
         if path.is_dir():
-            frames = _folder(path, topic, step_m, skip)
-        else:
-            found = find_format(path)
-            frames = _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
+            return _folder(path, topic, step_m, skip)
+        found = find_format(path)
+        return _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
     except BadConfig as error:
         if not skip or not path.exists():
             raise
         lost = Unopened(str(error).removeprefix(str(path)).lstrip(": "))  # `Frame.read` names it again
         return (Frame(path.stem, str(path), path, None, lost, ("",), step_m=step_m or MILLIMETRE),)
-    for frame in frames:
-        if not (skip or frame.source.opened):
-            frame.read()  # says what is wrong with it
-    return frames
 
 
 def _pngs(frames: list[Frame], path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
