@@ -214,9 +214,7 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
 
 
 def group(runs: Sequence[Run]) -> list[Group]:
-    """Group runs of one network and training, as far as it has come, but for seeds, in the order of first runs. Raises
-    BadConfig for the same weights twice, which would count as two seeds.
-    """
+    """Group runs that differ by seed alone, in the order of first runs. Raises BadConfig for weights given twice."""
     alike: dict[str, list[Run]] = {}
     first = dict[str | None, Run]()
     for run in runs:
