@@ -123,8 +123,9 @@ def test_colours_with_a_table(tmp_path: Path, of: str) -> None:
     write(tmp_path / "classes.json", {"classes": table})
     expected = UPPER[BOX.faces] if of == "vertex" else np.repeat(QUARTERS[:, None] > 1, 3, axis=1)
     assert np.array_equal(scene(tmp_path)[1], expected)
-    write(tmp_path / "classes.json", {"classes": table[:1]})
-    assert "the colour #ff0000, of number" in reason(tmp_path)
+    for told in (table[:1], [*table, {"name": "as red", "colour": "#ff0000"}]):  # a colour of two tells neither
+        write(tmp_path / "classes.json", {"classes": told})
+        assert "the colour #ff0000, of number" in reason(tmp_path)
 
 
 @pytest.mark.parametrize("word", ["g", "o", "usemtl"])
@@ -155,8 +156,9 @@ def test_nodes_and_materials_of_gltf(tmp_path: Path) -> None:
     assert set(names) == {"base", "arm"}
     heights = built.mesh.vertices[built.mesh.faces][:, :, 1].max(axis=1)
     assert ((heights > 1.4) == (corners[:, 0] == names.index("arm")))[heights > 1.1].all()
-    write(tmp_path / "classes.json", {"classes": ["steel base", "steel arm"]})
-    assert scene(tmp_path)[2] == ("steel base", "steel arm")
+    for classes in (["steel base", "steel arm"], ["steel base", {"name": "rest", "also": ["steel*"]}]):
+        write(tmp_path / "classes.json", {"classes": classes})
+        assert np.unique(scene(tmp_path)[1]).tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
@@ -335,6 +337,24 @@ def test_buffers_of_gltf_lie_where_it_says_and_are_in_the_digest(tmp_path: Path)
     assert source.fingerprint(source.bodies()) != before
 
 
+@pytest.mark.parametrize("file", ["a.obj", "a.labels.json", "classes.json", "a.scene.json"])
+def test_every_file_of_a_scene_is_in_the_digest(tmp_path: Path, file: str) -> None:
+    """A packing of other files is another one."""
+    write(tmp_path / "a.obj", BOX_OBJ)
+    write(tmp_path / "a.labels.json", [0] * 12)
+    write(tmp_path / "classes.json", {"classes": ["box"]})
+    write(tmp_path / "a.scene.json", {"format": "bodyseg scene 1", "meshes": [{"mesh": "a.obj"}]})
+
+    def digest() -> str:
+        source = open_source("labelled", tmp_path)
+        return source.fingerprint(source.bodies())
+
+    before = digest()
+    assert digest() == before
+    (tmp_path / file).write_bytes((tmp_path / file).read_bytes() + b"\n")
+    assert digest() != before
+
+
 def test_vertices_that_no_face_uses_are_left_out(tmp_path: Path) -> None:
     vertices = np.concatenate([[[9.0, -5.0, 9.0]], BOX.vertices, [[np.nan, 0.0, 0.0]]])
     write(tmp_path / "a.obj", obj(vertices, BOX.faces + np.int32(1)))
@@ -361,6 +381,8 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     assert "the file holds none: put a .labels.json" in reason(tmp_path)
     write(tmp_path / "a.json", {"front": [*FRONT, 8]})
     assert "a.json: the part 'front' must hold vertices 0 to 7, found 8" in reason(tmp_path)
+    write(tmp_path / "a.json", {"front": [3, -1]})
+    assert "the part 'front' must hold vertices 0 to 7, found -1" in reason(tmp_path)
     write(tmp_path / "a.json", {"front": [0.5]})
     assert "the part 'front' must be a list of vertices" in reason(tmp_path)
     for wrong in ([[0], [1, 2]], [10**30], "front", {"a": [0]}):
@@ -461,8 +483,11 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
     write(tmp_path / "one" / "scene.json", tree)
     assert "two scenes have one name" in reason(tmp_path)
     (tmp_path / "one" / "scene.json").unlink()
-    up: Any = open_source("labelled", tmp_path, up="z")
-    assert up.build(ref).mesh.centre.tolist() == [0, 0, -1]
+    turned_files: Any = open_source("labelled", tmp_path, up="z", units="cm")
+    placed = turned_files.build(ref).mesh
+    assert placed.centre.tolist() == [0, 0, -1]
+    x, y, z = BOX.vertices.T / 100
+    assert np.allclose(placed.vertices[:8], np.stack([z, 2 - x, -y], axis=1))
     for wrong, why in (
         ({"pose": [-1, *turned[1:]]}, "must not mirror"),
         ({"pose": turned, "position_m": [0, 0, 0]}, "one 'pose' or 'position_m'"),
