@@ -136,8 +136,8 @@ def run(options: Options) -> int:
         sys.stdout.write(json.dumps(plan(packing), indent=2) + "\n")
         return 0
     out = _needed_out(options)
-    if options.on_error == "skip" and options.skip_budget is None:
-        raise BadConfig("--on-error skip needs --skip-budget: the number of meshes that may be left out, or a share")
+    if (options.on_error == "skip") != (options.skip_budget is not None):
+        raise BadConfig("--on-error skip and --skip-budget, the most meshes to leave out or a share, belong together")
     on_faults = OnFaults(options.on_error, options.skip_budget)
     _warn_about_source(packing)
 

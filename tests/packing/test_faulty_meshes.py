@@ -385,8 +385,9 @@ def test_the_command_lists_every_fault_then_skips(tmp_path: Path, capsys: pytest
     assert lines[-1] == f"bodyseg shard: {ending}"
     assert any("the source folder is not complete, 1 missing: landmarks of none" in line for line in lines)
     assert any(line.startswith("checking: 8 of 8 meshes") for line in lines)
-    assert main([*words, "--on-error", "skip"]) == 2
-    assert "--on-error skip needs --skip-budget: the number of meshes" in capsys.readouterr().err
+    for one in (["--on-error", "skip"], ["--skip-budget", "5"]):
+        assert main([*words, *one]) == 2
+        assert "--on-error skip and --skip-budget, the most meshes" in capsys.readouterr().err
     assert main([*words, "--on-error", "skip", "--skip-budget", "5", "--workers", "1"]) == 0
     said = capsys.readouterr().err.splitlines()
     assert sum(line.startswith("skipped ") for line in said) == 5
