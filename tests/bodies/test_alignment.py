@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, turn
 
 from bodyseg_data.bodies import metres_a_unit
-from bodyseg_data.bodies.alignment import Alignment, find_alignment
+from bodyseg_data.bodies.alignment import Alignment, find_alignment, upright_rotation
 from bodyseg_data.bodies.source import MeshOptions
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.labels import LANDMARKS
@@ -27,6 +27,12 @@ LIST = list(VERTICES)
 def test_there_are_24_turns() -> None:
     matrices = {tuple(turn(*axes).astype(int).ravel().tolist()) for axes in TURNS}
     assert len(matrices) == 24 and all(round(np.linalg.det(turn(*axes))) == 1 for axes in TURNS)
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_a_scene_whose_axis_points_up_is_turned_not_mirrored(up: str) -> None:
+    rotation = upright_rotation(up)  # type: ignore[arg-type]
+    assert any(np.array_equal(rotation, turn(*axes)) for axes in TURNS if axes[1] == up)
 
 
 @pytest.mark.parametrize(("left", "up"), TURNS)
