@@ -78,12 +78,13 @@ def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[byt
         beside["bin"] = data[end + 8 :]
     primitives = [each for mesh in tree.get("meshes", ()) for each in mesh["primitives"]]
     places = [tree["accessors"][each["attributes"]["POSITION"]] for each in primitives if each.get("mode", 4) > 3]
-    unread = _UNREAD.intersection(tree.get("extensionsRequired", ())) - ({_DRACO} if find_spec("DracoPy") else set())
+    nodes = tree.get("nodes", ())
+    needed = {*tree.get("extensionsRequired", ()), *(key for node in nodes for key in node.get("extensions", ()))}
+    unread = (_UNREAD & needed) - ({_DRACO} if find_spec("DracoPy") else set())
     unread |= {f"{key} positions" for each in places for key in ("sparse", "normalized") if each.get(key)}
     unread |= {"triangle fans" for each in primitives if each.get("mode") == 6}
     if unread:
         raise BadMesh(f"{path}: geometry must be plain, found {', '.join(sorted(unread))}: export it without")
-    nodes = tree.get("nodes", ())
     names = {str(at): node.pop("name", "") or str(at) for at, node in enumerate(nodes)}
     for node in nodes:
         node.pop("camera", None)

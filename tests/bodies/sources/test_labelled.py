@@ -292,6 +292,9 @@ def test_geometry_that_trimesh_leaves_out_or_misplaces_is_refused(tmp_path: Path
 
     for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "EXT_mesh_gpu_instancing"):
         assert f"a.gltf: geometry must be plain, found {name}: export" in found(extensionsRequired=[name, "KHR_lights"])
+    copies = {"name": "arm", "mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}  # a file need not require it
+    write(tmp_path / "a.gltf", gltf([copies]))
+    assert "found EXT_mesh_gpu_instancing: export" in reason(tmp_path)
     vertices, *others = gltf([])["accessors"]
     assert "found sparse positions" in found(accessors=[vertices | {"sparse": {"count": 1}}, *others])
     assert "found normalized positions" in found(accessors=[vertices | {"normalized": True}, *others])
