@@ -4,6 +4,7 @@ The parts of a glTF file are placed by their nodes, joined, and named by nodes a
 """
 
 import json
+from base64 import b64decode
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
@@ -59,18 +60,26 @@ def mesh_content(path: Path) -> MeshContent:
     beside = {uri: file_bytes(file, "mesh", LARGEST_BYTES, BadMesh) for uri, file in gltf_buffers(path).items()}
     with BadMesh.named(f"{path} cannot be read by trimesh", passes=BadMesh):  # whatever a damaged file makes it raise
         kind = "stl" if path.suffix.lower() == ".stl" else "gltf"
-        data, names = (data, {}) if kind == "stl" else _for_trimesh(data, beside, path)
+        data, names, joints = (data, {}, {}) if kind == "stl" else _for_trimesh(data, beside, path)
         scene = trimesh.load(BytesIO(data), kind, beside, force="scene", process=False)
-        posed = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
-        # trimesh divides a mesh of several primitives into a node each, named "NUMBER_" and some letters.
-        parts = [(names.get(node.split("_")[0], ""), pose, scene.geometry[name]) for node, pose, name in posed]
+        parts = []
+        for node in scene.graph.nodes_geometry:
+            pose, geometry = scene.graph[node]
+            number = node.split("_")[0]  # trimesh divides a mesh of several primitives into nodes "NUMBER_" and letters
+            if number in joints:
+                joint, inverse = joints[number]
+                pose = scene.graph[joint][0] @ inverse
+            parts.append((names.get(number, ""), pose, scene.geometry[geometry]))
         return _joined([each for each in parts if len(getattr(each[2], "faces", ()))], path)
 
 
-def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[bytes, dict[str, str]]:
+def _for_trimesh(
+    data: bytes, beside: dict[str, bytes], path: Path
+) -> tuple[bytes, dict[str, str], dict[str, tuple[str, NDArray[np.float32]]]]:
     """The text of a glTF file with the names and cameras of its nodes removed, and number -> name of each: trimesh
-    renames nodes of one name, and leaves out a node with a camera and all below it. beside: buffers by URI; gets that
-    of a binary file. Raises BadMesh for geometry that trimesh would leave out or misplace.
+    renames nodes of one name, and leaves out a node with a camera and all below it. Third, number -> topmost joint and
+    its inverse bind matrix [4, 4] of skinned nodes, which joints place, wherever the node itself is. beside: buffers by
+    URI; gets that of a binary file. Raises BadMesh for geometry that trimesh would leave out or misplace.
     """
     begin, end = (20, 20 + int.from_bytes(data[12:16], "little")) if data[:4] == b"glTF" else (0, len(data))
     tree = parse_json(data[begin:end], "its text")
@@ -86,9 +95,29 @@ def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[byt
     if unread:
         raise BadMesh(f"{path}: geometry must be plain, found {', '.join(sorted(unread))}: export it without")
     names = {str(at): node.pop("name", "") or str(at) for at, node in enumerate(nodes)}
-    for node in nodes:
+    joints = {}
+    for at, node in enumerate(nodes):
         node.pop("camera", None)
-    return json.dumps(tree).encode(), names
+        if "skin" in node:
+            joints[str(at)] = _topmost_joint(tree, tree["skins"][node["skin"]], beside)
+    return json.dumps(tree).encode(), names, joints
+
+
+def _topmost_joint(
+    tree: dict[str, Any], skin: dict[str, Any], beside: dict[str, bytes]
+) -> tuple[str, NDArray[np.float32]]:
+    """The first joint of a skin that is below no other, and its inverse bind matrix [4, 4]."""
+    below = {child for joint in skin["joints"] for child in tree["nodes"][joint].get("children", ())}
+    number = next(at for at, joint in enumerate(skin["joints"]) if joint not in below)
+    joint = str(skin["joints"][number])
+    if "inverseBindMatrices" not in skin:
+        return joint, np.eye(4, dtype=np.float32)
+    accessor = tree["accessors"][skin["inverseBindMatrices"]]
+    view = tree["bufferViews"][accessor["bufferView"]]
+    uri = tree["buffers"][view["buffer"]]["uri"]
+    data = beside[uri] if uri in beside else b64decode(uri.partition(",")[2])
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0) + 64 * number
+    return joint, np.frombuffer(data, "<f4", 16, start).reshape(4, 4).T  # stored column by column
 
 
 def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> MeshContent:

@@ -285,6 +285,28 @@ def test_nodes_of_gltf_keep_their_names_and_places(tmp_path: Path, kind: str) ->
     }
 
 
+@pytest.mark.parametrize("bound", [False, True])
+def test_a_skinned_mesh_lies_where_its_joints_are(tmp_path: Path, bound: bool) -> None:
+    """Whatever moves its node: programs put people in a room by their armatures, and their meshes at the origin."""
+    nodes = [
+        {"name": "body", "mesh": 0, "skin": 0, "translation": [9, 9, 9]},
+        {"name": "armature", "translation": [0, 3, 0], "scale": [2, 2, 2], "children": [2]},
+        {"name": "hips", "translation": [1, 0, 0], "children": [3]},
+        {"name": "arm", "translation": [0, 1, 0]},
+    ]
+    back = np.stack([np.eye(4, dtype="<f4")] * 2)
+    back[1, 3, :3] = -1, 0, 5  # of the hips; a matrix is stored column by column
+    tree = gltf(nodes, skins=[{"joints": [3, 2], **({"inverseBindMatrices": 3} if bound else {})}])
+    tree["accessors"].append({"bufferView": 2, "componentType": 5126, "count": 2, "type": "MAT4"})
+    tree["bufferViews"].append({"buffer": 1, "byteOffset": 4, "byteLength": 128})
+    data = base64.b64encode(bytes(4) + back.tobytes()).decode()
+    tree["buffers"].append({"byteLength": 132, "uri": f"data:;base64,{data}"})
+    write(tmp_path / "a.gltf", tree)
+    built, _, _ = scene(tmp_path)
+    moved = 2 * BOX.vertices + ((0, 3, 10) if bound else (2, 3, 0))
+    assert np.allclose(built.mesh.vertices[built.mesh.faces], moved[BOX.faces][:6], atol=1e-5)
+
+
 def test_geometry_that_trimesh_leaves_out_or_misplaces_is_refused(tmp_path: Path) -> None:
     def found(**more: Any) -> str:
         write(tmp_path / "a.gltf", gltf([{"name": "arm", "mesh": 0}], **more))
