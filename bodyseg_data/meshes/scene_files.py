@@ -91,6 +91,7 @@ def _for_trimesh(
     needed = {*tree.get("extensionsRequired", ()), *(key for node in nodes for key in node.get("extensions", ()))}
     unread = (_UNREAD & needed) - ({_DRACO} if find_spec("DracoPy") else set())
     unread |= {f"{key} positions" for each in places for key in ("sparse", "normalized") if each.get(key)}
+    unread |= {"weights of shape keys" for each in (*tree.get("meshes", ()), *nodes) if any(each.get("weights", ()))}
     unread |= {"triangle fans" for each in primitives if each.get("mode") == 6}
     if unread:
         raise BadMesh(f"{path}: geometry must be plain, found {', '.join(sorted(unread))}: export it without")

@@ -317,6 +317,10 @@ def test_geometry_that_trimesh_leaves_out_or_misplaces_is_refused(tmp_path: Path
     copies = {"name": "arm", "mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}  # a file need not require it
     write(tmp_path / "a.gltf", gltf([copies]))
     assert "found EXT_mesh_gpu_instancing: export" in reason(tmp_path)
+    shaped = {"primitives": gltf([])["meshes"][0]["primitives"]}
+    assert "found weights of shape keys: export" in found(meshes=[shaped | {"weights": [0, 0.5]}])
+    write(tmp_path / "a.gltf", gltf([{"name": "arm", "mesh": 0}], meshes=[shaped | {"weights": [0, 0.0]}]))
+    assert scene(tmp_path)[2] == ("arm",)
     vertices, *others = gltf([])["accessors"]
     assert "found sparse positions" in found(accessors=[vertices | {"sparse": {"count": 1}}, *others])
     assert "found normalized positions" in found(accessors=[vertices | {"normalized": True}, *others])
