@@ -8,7 +8,7 @@ from base64 import b64decode
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
@@ -30,6 +30,7 @@ from bodyseg_data.meshes.mesh_files import (
 SCENE_SUFFIXES: Final = (".glb", ".gltf", ".stl")  # of mesh files that trimesh reads
 
 _DRACO: Final = "KHR_draco_mesh_compression"
+_JOINTS, _WEIGHTS = "_JOINTS_", "_WEIGHTS_"  # of vertices, as trimesh keeps names that begin so
 _UNREAD: Final = {_DRACO, "EXT_meshopt_compression", "EXT_mesh_gpu_instancing"}  # by trimesh
 
 
@@ -60,26 +61,45 @@ def mesh_content(path: Path) -> MeshContent:
     beside = {uri: file_bytes(file, "mesh", LARGEST_BYTES, BadMesh) for uri, file in gltf_buffers(path).items()}
     with BadMesh.named(f"{path} cannot be read by trimesh", passes=BadMesh):  # whatever a damaged file makes it raise
         kind = "stl" if path.suffix.lower() == ".stl" else "gltf"
-        data, names, joints = (data, {}, {}) if kind == "stl" else _for_trimesh(data, beside, path)
+        data, names, skins = (data, {}, {}) if kind == "stl" else _for_trimesh(data, beside, path)
         scene = trimesh.load(BytesIO(data), kind, beside, force="scene", process=False)
         parts = []
         for node in scene.graph.nodes_geometry:
             pose, geometry = scene.graph[node]
-            number = node.split("_")[0]  # trimesh divides a mesh of several primitives into nodes "NUMBER_" and letters
-            if number in joints:
-                joint, inverse = joints[number]
-                pose = scene.graph[joint][0] @ inverse
-            parts.append((names.get(number, ""), pose, scene.geometry[geometry]))
-        return _joined([each for each in parts if len(getattr(each[2], "faces", ()))], path)
+            mesh = scene.geometry[geometry]
+            if len(getattr(mesh, "faces", ())):
+                number = node.split("_")[0]  # trimesh divides a mesh of several primitives into "NUMBER_" and letters
+                skin = skins.get(number)
+                placed = mesh.vertices @ pose[:3, :3].T + pose[:3, 3] if skin is None else skin.posed(mesh, scene.graph)
+                parts.append((names.get(number, ""), placed, mesh))
+        return _joined(parts, path)
 
 
-def _for_trimesh(
-    data: bytes, beside: dict[str, bytes], path: Path
-) -> tuple[bytes, dict[str, str], dict[str, tuple[str, NDArray[np.float32]]]]:
+class _Skin(NamedTuple):
+    """Joints, as numbers of nodes, and the inverse bind matrix of each, [J, 4, 4]."""
+
+    joints: list[str]
+    inverse: NDArray[np.float32]
+
+    def posed(self, mesh: Any, graph: Any) -> NDArray[np.float64]:
+        """A mesh's vertices where the joints place them, wherever its node is, [V, 3] (glTF 2.0, 3.7.3)."""
+        bones, given = np.stack([graph[joint][0] for joint in self.joints]) @ self.inverse, mesh.vertex_attributes
+        sets = range(sum(name.startswith(_JOINTS) for name in given))
+        joints, weights = (np.hstack([given[f"{name}{at}"] for at in sets]) for name in (_JOINTS, _WEIGHTS))
+        weights = weights / weights.sum(axis=1, keepdims=True)  # which may be whole numbers
+        placed = np.zeros(mesh.vertices.shape)
+        for joint, weight in zip(joints.T, weights.T, strict=True):
+            bone = bones[joint]
+            turned = np.einsum("vij,vj->vi", bone[:, :3, :3], mesh.vertices)
+            placed += weight[:, None] * (turned + bone[:, :3, 3])
+        return placed
+
+
+def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[bytes, dict[str, str], dict[str, _Skin]]:
     """The text of a glTF file with the names and cameras of its nodes removed, and number -> name of each: trimesh
-    renames nodes of one name, and leaves out a node with a camera and all below it. Third, number -> topmost joint and
-    its inverse bind matrix [4, 4] of skinned nodes, which joints place, wherever the node itself is. beside: buffers by
-    URI; gets that of a binary file. Raises BadMesh for geometry that trimesh would leave out or misplace.
+    renames nodes of one name, and leaves out a node with a camera and all below it. Third, number -> skin, whose
+    weights get names that trimesh keeps. beside: buffers by URI; gets that of a binary file. Raises BadMesh for
+    geometry that trimesh would leave out or misplace.
     """
     begin, end = (20, 20 + int.from_bytes(data[12:16], "little")) if data[:4] == b"glTF" else (0, len(data))
     tree = parse_json(data[begin:end], "its text")
@@ -96,37 +116,37 @@ def _for_trimesh(
     if unread:
         raise BadMesh(f"{path}: geometry must be plain, found {', '.join(sorted(unread))}: export it without")
     names = {str(at): node.pop("name", "") or str(at) for at, node in enumerate(nodes)}
-    joints = {}
+    for each in primitives:
+        for attributes in (each["attributes"], each.get("extensions", {}).get(_DRACO, {}).get("attributes", {})):
+            for name in [name for name in attributes if f"_{name}".startswith((_JOINTS, _WEIGHTS))]:
+                attributes[f"_{name}"] = attributes.pop(name)
+    skins = {}
     for at, node in enumerate(nodes):
         node.pop("camera", None)
         if "skin" in node:
-            joints[str(at)] = _topmost_joint(tree, tree["skins"][node["skin"]], beside)
-    return json.dumps(tree).encode(), names, joints
+            skins[str(at)] = _skin(tree, tree["skins"][node["skin"]], beside)
+    return json.dumps(tree).encode(), names, skins
 
 
-def _topmost_joint(
-    tree: dict[str, Any], skin: dict[str, Any], beside: dict[str, bytes]
-) -> tuple[str, NDArray[np.float32]]:
-    """The first joint of a skin that is below no other, and its inverse bind matrix [4, 4]."""
-    below = {child for joint in skin["joints"] for child in tree["nodes"][joint].get("children", ())}
-    number = next(at for at, joint in enumerate(skin["joints"]) if joint not in below)
-    joint = str(skin["joints"][number])
+def _skin(tree: dict[str, Any], skin: dict[str, Any], beside: dict[str, bytes]) -> _Skin:
+    joints = [str(joint) for joint in skin["joints"]]
     if "inverseBindMatrices" not in skin:
-        return joint, np.eye(4, dtype=np.float32)
+        return _Skin(joints, np.eye(4, dtype=np.float32)[None])
     accessor = tree["accessors"][skin["inverseBindMatrices"]]
     view = tree["bufferViews"][accessor["bufferView"]]
     uri = tree["buffers"][view["buffer"]]["uri"]
     data = beside[uri] if uri in beside else b64decode(uri.partition(",")[2])
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0) + 64 * number
-    return joint, np.frombuffer(data, "<f4", 16, start).reshape(4, 4).T  # stored column by column
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    by_column = np.frombuffer(data, "<f4", 16 * len(joints), start).reshape(-1, 4, 4)
+    return _Skin(joints, by_column.transpose(0, 2, 1))
 
 
 def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> MeshContent:
-    """One mesh of the parts of a scene: node, pose [4, 4] and mesh of each."""
+    """One mesh of the parts of a scene: node, vertices as placed [V, 3] and mesh of each."""
     if not parts:
         raise BadMesh(f"{path}: a mesh needs vertices and faces, found none")
-    starts = np.cumsum([0, *(len(mesh.vertices) for _, _, mesh in parts)])
-    vertices = np.concatenate([mesh.vertices @ pose[:3, :3].T + pose[:3, 3] for _, pose, mesh in parts])
+    starts = np.cumsum([0, *(len(placed) for _, placed, _ in parts)])
+    vertices = np.concatenate([placed for _, placed, _ in parts])
     faces = np.concatenate([mesh.faces + start for (_, _, mesh), start in zip(parts, starts[:-1], strict=True)])
     check_arrays(str(path), vertices, faces)
     sizes = [len(mesh.faces) for _, _, mesh in parts]

@@ -286,24 +286,36 @@ def test_nodes_of_gltf_keep_their_names_and_places(tmp_path: Path, kind: str) ->
 
 
 @pytest.mark.parametrize("bound", [False, True])
-def test_a_skinned_mesh_lies_where_its_joints_are(tmp_path: Path, bound: bool) -> None:
+def test_a_skinned_mesh_is_posed_by_its_joints(tmp_path: Path, bound: bool) -> None:
     """Whatever moves its node: programs put people in a room by their armatures, and their meshes at the origin."""
     nodes = [
         {"name": "body", "mesh": 0, "skin": 0, "translation": [9, 9, 9]},
         {"name": "armature", "translation": [0, 3, 0], "scale": [2, 2, 2], "children": [2]},
         {"name": "hips", "translation": [1, 0, 0], "children": [3]},
-        {"name": "arm", "translation": [0, 1, 0]},
+        {"name": "arm", "rotation": [0, 0, 1, 0], "translation": [0, 1, 0]},  # turned by half a circle about z
     ]
-    back = np.stack([np.eye(4, dtype="<f4")] * 2)
-    back[1, 3, :3] = -1, 0, 5  # of the hips; a matrix is stored column by column
+    back = np.stack([np.eye(4)] * 2)
+    back[:, :3, 3] = (0, -1, 0), (-1, 0, 5)
+    joints, weights = np.zeros((8, 4), np.uint8), np.zeros((8, 4), np.uint8)
+    joints[:, 1] = 1
+    weights[:, 0], weights[:, 1] = np.arange(8), 8 - np.arange(8)
     tree = gltf(nodes, skins=[{"joints": [3, 2], **({"inverseBindMatrices": 3} if bound else {})}])
-    tree["accessors"].append({"bufferView": 2, "componentType": 5126, "count": 2, "type": "MAT4"})
-    tree["bufferViews"].append({"buffer": 1, "byteOffset": 4, "byteLength": 128})
-    data = base64.b64encode(bytes(4) + back.tobytes()).decode()
-    tree["buffers"].append({"byteLength": 132, "uri": f"data:;base64,{data}"})
+    # A matrix is stored column by column.
+    data = bytes(4) + back.transpose(0, 2, 1).astype("<f4").tobytes() + joints.tobytes() + weights.tobytes()
+    for size, kind in ((128, (5126, 2, "MAT4")), (32, (5121, 8, "VEC4")), (32, (5121, 8, "VEC4"))):
+        start = 4 + sum(view["byteLength"] for view in tree["bufferViews"][2:])
+        view = {"bufferView": len(tree["bufferViews"])}
+        tree["accessors"].append(view | dict(zip(("componentType", "count", "type"), kind, strict=True)))
+        tree["bufferViews"].append({"buffer": 1, "byteOffset": start, "byteLength": size})
+    tree["meshes"][0]["primitives"][0]["attributes"] |= {"JOINTS_0": 4, "WEIGHTS_0": 5}
+    uri = "data:;base64," + base64.b64encode(data).decode()
+    tree["buffers"].append({"byteLength": len(data), "uri": uri})
     write(tmp_path / "a.gltf", tree)
     built, _, _ = scene(tmp_path)
-    moved = 2 * BOX.vertices + ((0, 3, 10) if bound else (2, 3, 0))
+    by_arm, by_hips = BOX.vertices + bound * back[0, :3, 3], BOX.vertices + bound * back[1, :3, 3]
+    by_arm = by_arm * (-1, -1, 1) + (0, 1, 0)
+    share = np.arange(8)[:, None] / 8
+    moved = 2 * (share * by_arm + (1 - share) * by_hips + (1, 0, 0)) + (0, 3, 0)
     assert np.allclose(built.mesh.vertices[built.mesh.faces], moved[BOX.faces][:6], atol=1e-5)
 
 
