@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 from abc import ABC, abstractmethod
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from threading import Lock
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
@@ -83,14 +84,23 @@ class OpenVino(Runtime):
     precisions: ClassVar[tuple[Precision, ...]] = ("float32", "bfloat16")
 
     def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
-        core = self.loaded().Core()
+        library = self.loaded()
         settings = {
             "INFERENCE_NUM_THREADS": threads,
             "INFERENCE_PRECISION_HINT": "bf16" if precision == "bfloat16" else "f32",
             "PERFORMANCE_HINT": "LATENCY",
             "ENABLE_CPU_PINNING": False,  # other work of the process runs beside it
         }
-        self._request = core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
+
+        def compiled() -> Any:
+            core = library.Core()
+            return core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
+
+        # In a thread that ends: OpenVINO 2026.4 gives the thread that compiles a stack for signals, and takes its
+        # memory away with the core. Another core's stack, or a core that goes in another thread, leaves the address
+        # behind: the next signal ends the process, or is written into what has come to lie there, as the heap.
+        with ThreadPoolExecutor(1) as thread:
+            self._request = thread.submit(compiled).result()
         self._one_at_a_time = Lock()  # else a thread gets the scores of another one's images
 
     def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import json
 import os
 import signal
+import sys
 import warnings
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
@@ -106,6 +109,37 @@ def test_threads_that_share_a_network_get_their_own_scores(backend: str) -> None
     with ThreadPoolExecutor(4) as threads:
         found = list(threads.map(network.scores, 50 * images))
     assert all(torch.equal(scores, expected[number % 4]) for number, scores in enumerate(found))
+
+
+class _Stack(ctypes.Structure):
+    """`stack_t` of Linux."""
+
+    _fields_ = (("begin", ctypes.c_void_p), ("flags", ctypes.c_int), ("size", ctypes.c_size_t))
+
+
+def _has_stack_for_signals() -> bool:
+    """Whether the stack on which this thread handles signals, if it has one of its own, is memory of the process."""
+    stack = _Stack()
+    assert ctypes.CDLL(None).sigaltstack(None, ctypes.byref(stack)) == 0
+    maps = [line.partition(" ")[0].split("-") for line in Path("/proc/self/maps").read_text().splitlines()]
+    return not stack.begin or any(int(begin, 16) <= stack.begin < int(end, 16) for begin, end in maps)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc is Linux's")
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_signals_have_a_stack_after_networks_are_gone(elsewhere: bool) -> None:
+    """The first of two goes first, or both in another thread."""
+    pytest.importorskip("openvino")
+    assert _has_stack_for_signals()
+    networks, image = [on_backend(Toy().eval(), "openvino") for _ in range(2)], torch.ones(1, 1, 64, 64)
+    for network in networks:
+        network.scores(image)
+    del network
+    with ThreadPoolExecutor(1) as thread:
+        for _ in range(2):
+            thread.submit(networks.pop, 0).result() if elsewhere else networks.pop(0)
+            gc.collect()
+    assert _has_stack_for_signals()
 
 
 @pytest.mark.usefixtures("one_thread")
