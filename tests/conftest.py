@@ -112,11 +112,6 @@ _LONG_FILES: Final = (
 )
 """Files that take longest, which start first: at the end of `make test`, short ones keep both processors at work."""
 
-_LAST_FILES: Final = ("benches/model/test_segment.py", "benches/model/test_runtimes.py")
-"""Files that run last: OpenVINO and what `bench segment` runs, after many other tests in one process, have ended it by
-a damaged heap of C; which library does it is not known. Alone, and in this order, they pass.
-"""
-
 _ABSENT: Final = "shared data are absent"
 """How the reason begins for which tests without them are skipped."""
 
@@ -124,8 +119,7 @@ _ABSENT: Final = "shared data are absent"
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {TESTS / name: index for index, name in enumerate(_LONG_FILES)}
-    order |= {TESTS / name: len(order) + 1 + index for index, name in enumerate(_LAST_FILES)}
-    items.sort(key=lambda item: order.get(item.path, len(_LONG_FILES)))
+    items.sort(key=lambda item: order.get(item.path, len(order)))
 
 
 @pytest.hookimpl(wrapper=True)
