@@ -4,6 +4,7 @@ Shards that a cache keeps are fetched whole. Of others, and without a cache, the
 those that lie side by side are read by one request.
 """
 
+import atexit
 import contextlib
 import itertools
 import os
@@ -80,17 +81,19 @@ class LookAhead:
         if any(
             isinstance(each, RemoteFolder) or (isinstance(each, CachedStore) and not each.is_here()) for each in stores
         ):
+            atexit.register(self.close)  # a pass that a program leaves open may end after the modules that this needs
             for row in self.rows:
                 self._threads.append(threading.Thread(None, self._serve, "bodyseg-ahead", (row,), daemon=True))
                 self._threads[-1].start()
 
     def close(self) -> None:
         """End all downloads. A cache keeps what is whole, and parts to be continued; memory is given back."""
-        if os.getpid() == self._owner:  # else this is a fork of the process that has the threads
+        if self._threads and os.getpid() == self._owner:  # else this is a fork of the process that has the threads
+            atexit.unregister(self.close)
             self._end()
             until = time.monotonic() + _END_TIMEOUT_S
-            for thread in self._threads:
-                thread.join(max(0.0, until - time.monotonic()))
+            while self._threads:
+                self._threads.pop().join(max(0.0, until - time.monotonic()))
 
     def _end(self) -> None:
         self._closed.set()

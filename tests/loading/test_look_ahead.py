@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.loading import WorkerLost
 from bodyseg_data.loading.selection import BLOCK_SAMPLES, BlockOrder
-from bodyseg_data.shards import LookAhead, RetryPolicy, Unreachable, read_manifest
+from bodyseg_data.shards import LookAhead, RetryPolicy, Unreachable, ahead, read_manifest
 
 QUICK = RetryPolicy(tries=12, first_wait_s=0.001)
 WAYS: list[tuple[int, Any]] = [(0, "thread"), (2, "thread"), (2, "process")]
@@ -244,6 +245,23 @@ def test_a_loop_that_is_left_ends_its_downloads(web: WebServer, tmp_path: Path) 
     assert all(path.stat().st_size == whole[path.name] for path in tmp_path.glob("*.tar"))
     assert len(list(tmp_path.glob("*.tar"))) < len(whole)
     assert list(tmp_path.glob("*.part")), "samples are read before their shard is whole"
+
+
+def test_a_pass_that_a_program_leaves_open_ends_without_a_word(
+    web: WebServer, figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_exit: list[Any] = []
+    monkeypatch.setattr(ahead, "atexit", SimpleNamespace(register=at_exit.append, unregister=at_exit.remove))
+    sets = RangeImages(figures_set, "noise"), RangeImages(web.url("good"), "noise", cache_bytes=0)
+    passes = [iter(loader(images, 4)) for images in sets]
+    for each in passes:
+        next(each)
+    at_exit[0]()
+    assert not at_exit
+    for module in ("atexit", "os", "time"):  # as Python leaves them when objects that live so long end
+        monkeypatch.setattr(ahead, module, None)
+    for each in passes:
+        each.close()  # type: ignore[attr-defined]
 
 
 def test_a_worker_that_is_killed_while_shards_come(web: WebServer, tmp_path: Path) -> None:
