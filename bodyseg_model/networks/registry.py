@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -18,6 +18,9 @@ from bodyseg_data.labels import BACKGROUND, NOWHERE
 from bodyseg_data.machine import use_compiled
 from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.networks.network import Network, check_range_images
+
+_FARTHEST_M: Final = 100.0  # no range camera sees its nearest surface there
+_ROWS: Final = 64  # of an image, of which some show a surface if any do
 
 
 class Prediction(NamedTuple):
@@ -81,7 +84,8 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
 
     network: in evaluation mode. It sees whole images, as in training: how much is empty around a body changes its
     labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
-    wrong shape, also of scores, a range that is not finite, or a network in training mode.
+    wrong shape, also of scores, a range that is not finite or below 0, ranges in another unit, or a network in training
+    mode.
     """
     return _predict(network, range_m, network.scores if isinstance(network, Network) else None)
 
@@ -119,7 +123,8 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
         range_m = range_m.float()  # layers of float32 refuse float16
     if range_m.device.type == "cpu":
         return _predict_on_processor(network, range_m, scores)
-    _check_finite(bool(range_m.isfinite().all()))
+    least, most = torch.stack(range_m.aminmax()).tolist()
+    _check_metres(least, most, range_m[:, 0, :: range_m.shape[2] // _ROWS + 1].float().cpu().numpy())
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
@@ -140,9 +145,13 @@ def _scores_of(
     return scores
 
 
-def _check_finite(finite: bool) -> None:
-    if not finite:  # one such pixel would change all labels
-        raise BadConfig("range images must be finite, 0 where nothing was measured")
+def _check_metres(least: float, most: float, some: NDArray[np.float32]) -> None:
+    """least, most: of all ranges. some: enough of them to tell steps and millimetres, in which none is near."""
+    if not (least >= 0 and most < np.inf):  # also for NaN; one such pixel would change all labels
+        raise BadConfig(f"range images must be finite, and 0 where nothing was measured, found {least:g} to {most:g}")
+    nearest = np.min(some, initial=np.inf, where=some > 0)
+    if _FARTHEST_M <= nearest < most:  # but for one value, as of a sky
+        raise BadConfig(f"range images must be in metres, found nothing nearer than {nearest:.0f}")
 
 
 def _predict_on_processor(
@@ -153,7 +162,7 @@ def _predict_on_processor(
     threads need.
     """
     metres = np.ascontiguousarray(range_m[:, 0].float().numpy())
-    _check_finite(bool(np.isfinite(metres).all()))
+    _check_metres(float(metres.min()), float(metres.max()), metres[:, :: metres.shape[1] // _ROWS + 1])
     labels, confidence = np.full(metres.shape, BACKGROUND, np.uint8), np.zeros(metres.shape, np.float32)
     found, measured = Prediction(torch.from_numpy(labels), torch.from_numpy(confidence)), metres > 0
     if not measured.any():

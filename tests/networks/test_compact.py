@@ -168,12 +168,21 @@ def test_predicting_needs_a_network_that_is_not_being_trained() -> None:
         predict(network().train(), figure(8, 8))
 
 
-@pytest.mark.parametrize("lost", [torch.nan, torch.inf])
+@pytest.mark.parametrize("lost", [torch.nan, torch.inf, -1.0])
 def test_pixels_as_drivers_write_them_where_nothing_was_measured_are_refused(lost: float) -> None:
     range_m = figure(8, 8)
     range_m[0, 0, 0, 0] = lost
-    with pytest.raises(BadConfig, match="^range images must be finite, 0 where nothing was measured$"):
+    with pytest.raises(BadConfig, match="^range images must be finite, and 0 where nothing was measured, found "):
         predict(network(), range_m)
+
+
+@pytest.mark.parametrize("unit", [0.001, 0.0001])
+def test_ranges_in_steps_or_millimetres_are_refused(unit: float) -> None:
+    with pytest.raises(BadConfig, match="^range images must be in metres, found nothing nearer than "):
+        predict(network(), figure(8, 8) / unit)
+    sky = torch.zeros(1, 1, 9, 9)
+    sky[..., :4, :] = 1000
+    assert (predict(network(), sky).labels[0, :4] < 255).all()
 
 
 def test_a_network_sees_whole_images_whatever_else_is_in_the_batch() -> None:
