@@ -185,8 +185,8 @@ def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[i
         raise BadConfig(f"rank and world_size are given together or not at all, found {rank!r} of {world_size!r}")
     if rank is None or world_size is None:
         rank, world_size = _distributed_rank()
-    check_int("world_size", world_size, 1)
-    if check_int("rank", rank, 0) >= world_size:
+    rank, world_size = check_int("rank", rank, 0), check_int("world_size", world_size, 1)
+    if rank >= world_size:
         raise BadConfig(f"rank must be less than world_size, found {rank} of {world_size}")
     return rank, world_size
 

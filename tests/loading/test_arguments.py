@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -161,6 +162,16 @@ def test_the_largest_batch(samples: int, size: int, ranks: int, figures_set: Pat
     images = RangeImages(figures_set, "all", "train", only=keys)
     orders = [BatchOrder(images, size, rank=rank, world_size=ranks) for rank in range(ranks)]
     assert max(len(batch) for order in orders for batch in order) <= orders[0].largest <= size
+
+
+def test_ranks_of_numpy_leave_states_that_are_plain_json(figures_set: Path) -> None:
+    keys = RangeImages(figures_set, "all", "train").keys[:9]
+    images = RangeImages(figures_set, "all", "train", only=keys)
+    order = BatchOrder(images, 2, rank=np.int64(1), world_size=np.int64(4))  # type: ignore[arg-type]
+    next(iter(order))
+    state = json.loads(json.dumps(order.state_dict()))
+    assert state["position"] == 5, "the last batch has four samples, one a rank"
+    order.load_state_dict(state)
 
 
 def test_workers_that_cannot_start(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
