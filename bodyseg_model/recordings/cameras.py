@@ -87,6 +87,7 @@ def frame_camera(
     for, or options that contradict each other.
     """
     rows, columns = shape
+    shape = rows, columns  # no list of them would be equal to a tuple
     if rig is not None:
         if focal_px is not None or len(centre_px):
             raise BadConfig("give either --rig or --focal and --centre")
@@ -148,7 +149,7 @@ class Intrinsics:
 
     def frame_camera(self, shape: tuple[int, int]) -> FrameCamera:
         """The camera of a frame of `shape` (rows, columns). Raises BadConfig for another size than the file's."""
-        if self.size is not None and self.size != shape:
+        if self.size is not None and tuple(self.size) != tuple(shape):
             expected, found = (" x ".join(map(str, size)) for size in (self.size, shape))
             raise BadConfig(f"{self.where}: the frame must have {expected} pixels, found {found}")
         focal_px = math.sqrt(self.fx * self.fy)
@@ -190,18 +191,19 @@ def driver_camera(
     coefficients that is not known, and for a lens that five coefficients do not follow to within a pixel.
     """
     fx, fy, cx, cy = camera
-    if not any(coefficients):
+    given: list[float] = np.ravel(coefficients).tolist()  # OpenCV has them in a matrix of one row or column
+    length = len(given)
+    if not any(given):
         return Intrinsics(*camera, None, size, where)
     name = re.sub(r"[^a-z0-9]+", "_", model.lower())
     form, counts = MODELS.get(name, ("", ()))
-    given = list(coefficients)
     while len(given) > 4 and not given[-1]:  # zeros at the end have no effect
         given.pop()
     count = next((count for count in counts if count >= len(given)), 0)
-    if not count or len(coefficients) < counts[0]:
+    if not count or length < counts[0]:
         raise BadConfig(
             f"{where}: distortion must be plumb_bob, of 4 or 5 coefficients, or one of "
-            f"{', '.join(list(MODELS)[1:])}, found {model!r} of {len(coefficients)}: undistort the "
+            f"{', '.join(list(MODELS)[1:])}, found {model!r} of {length}: undistort the "
             "recording, or give --focal or --rig"
         )
     given += [0.0] * (12 - len(given))

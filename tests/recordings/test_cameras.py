@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bodyseg_data.core import BadConfig
@@ -16,8 +17,9 @@ def test_a_camera_is_given_or_told_by_the_size_of_frames() -> None:
     given = frame_camera((30, 40), "a.png", focal_px=50.0)
     assert (given.camera.focal_px, given.camera.centre_px, given.assumed) == (50.0, (20.0, 15.0), False)
     assert frame_camera((30, 40), "a.png", focal_px=50.0, centre_px=(19.0, 16.0)).camera.centre_px == (19.0, 16.0)
-    paper = frame_camera((640, 329), "a.png", rig="paper")
-    assert (paper.camera, paper.assumed) == (load_rig().camera, False)
+    for shape in ((640, 329), [640, 329], np.array([640, 329])):
+        paper = frame_camera(shape, "a.png", rig="paper")  # type: ignore[arg-type]
+        assert (paper.camera, paper.assumed) == (load_rig().camera, False)
     told = {shape: frame_camera(shape, "a.png") for shape in ((640, 329), (480, 640), (424, 512))}
     assert all(camera.assumed and camera.origin.startswith("assumed: ") for camera in told.values())
     assert [camera.camera.focal_px for camera in told.values()] == pytest.approx([757.58, 525, 365], abs=0.01)

@@ -47,6 +47,11 @@ def test_five_coefficients_are_taken_as_they_are(model: str) -> None:
     assert five(model, 0.01, -0.02, 0.001, 0.002, 0.003, 0, 0, 0) == expected, "zeros behind say nothing"
     assert five(model, 0.01, -0.02, 0.001, 0.002) == Distortion(0.01, -0.02, 0.001, 0.002)
     assert five(model, *[0.0] * 8) is None
+    for shape in ((1, 5), (5, 1)):  # as OpenCV's calibration returns them
+        matrix = np.reshape([0.01, -0.02, 0.001, 0.002, 0.003], shape)
+        driven = driver_camera(model, matrix, CAMERA, SIZE, "a.yml")  # type: ignore[arg-type]
+        assert driven.distortion == expected
+        assert driven.frame_camera([*SIZE]).camera.distortion == expected  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("behind", [(), (0.0,) * 4, (0.0,) * 6, (0.001, -0.003, 0.002, -0.004)])
