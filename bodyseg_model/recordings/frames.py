@@ -115,7 +115,12 @@ def metres_a_step(unit: str) -> float:
 
 
 def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
-    """Convert a frame's steps to metres, float32 [H, W]; 0 (nothing measured) where it is 0 or 65535 (saturated)."""
+    """Convert a frame's steps to metres, float32 [H, W]; 0 (nothing measured) where it is 0 or 65535 (saturated).
+
+    Raises BadConfig for floating point, which is in metres already.
+    """
+    if frame.dtype.kind not in "ui":
+        raise BadConfig(f"a frame's steps must be whole numbers, found {frame.dtype}: it may be in metres already")
     ranges = frame.astype(np.float32) * np.float32(step_m)
     ranges[frame == _SATURATED] = 0
     return ranges

@@ -178,6 +178,8 @@ def test_nothing_and_too_much_are_nothing() -> None:
     ranges = to_metres(np.array([[0, 1, 2500, 65534, 65535]], np.uint16), 1e-3)
     assert ranges.dtype == np.float32
     np.testing.assert_allclose(ranges, [[0, 0.001, 2.5, 65.534, 0]], rtol=1e-6)
+    with pytest.raises(BadConfig, match="^a frame's steps must be whole numbers, found float32: it may be in metres"):
+        to_metres(ranges, 1e-3)  # type: ignore[arg-type]
 
 
 def test_frames_are_chosen_evenly_from_the_first_to_the_last() -> None:
