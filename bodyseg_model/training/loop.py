@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import itertools
+import json
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,7 +24,17 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
-from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, check_class, reported, signals_held
+from bodyseg_data.core import (
+    BadConfig,
+    BodysegError,
+    Checked,
+    Draws,
+    bounded,
+    check_class,
+    check_seed,
+    reported,
+    signals_held,
+)
 from bodyseg_data.files import claimed, last_name
 from bodyseg_data.labels import PARTS33, TEMPLATE, UNLABELLED
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
@@ -97,6 +108,7 @@ def train(
     """
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
+    seed = check_seed(seed)
     check_class("recipe", recipe, Recipe, NoneType)
     check_class("validation", validation, Validation, NoneType)
     check_class("run_options", run_options, RunOptions, NoneType)
@@ -115,7 +127,10 @@ def train(
         training = Training(network, name, images, recipe, folder, processes, *options)
         with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
             read_from = [last_name(each.path) for each in images.sets]  # cards are published
-            training.run(resume, report or (lambda metrics: None), {"read_from": read_from, **(facts or {})})
+            facts = {"read_from": read_from, **(facts or {})}
+            with reported("facts must be plain JSON", BadConfig, TypeError, ValueError):  # now, not at the end
+                json.dumps(facts)
+            training.run(resume, report or (lambda metrics: None), facts)
         processes.wait()  # the others, until the first has written the network
     return load_network(folder.path)
 

@@ -173,6 +173,23 @@ def test_images_to_validate_on_have_the_classes_of_those_to_train_on(small_set: 
             train(images, tmp_path / "run", validation=held_out, device="cpu")
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"seed": None}, "^a seed must be a whole number from 0 to .*, found None$"),
+        ({"seed": 1.0}, "^a seed must be .*found 1.0$"),
+        ({"facts": {"subjects": np.int64(3)}}, "^facts must be plain JSON: .*int64"),
+    ],
+)
+def test_what_a_card_cannot_hold_is_refused_at_the_start(
+    given: dict[str, Any], message: str, small_set: Path, tmp_path: Path
+) -> None:
+    images = RangeImages(small_set, variant="all", split="train")
+    with pytest.raises(BadConfig, match=message):
+        train(images, tmp_path / "run", build("compact", TINY, 0), RECIPE_OF_TWO, device="cpu", **given)
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:
     images = RangeImages(small_set, variant="all", split="train")
     with pytest.raises(BadConfig, match=r"of a class in NETWORKS.*found label_networks\.Places"):
