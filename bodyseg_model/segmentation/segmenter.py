@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import load_template
-from bodyseg_data.core import BadConfig, Stopwatch, check_class
+from bodyseg_data.core import BadConfig, Stopwatch, check_choice, check_class
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap, load_label_map
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
@@ -215,11 +215,11 @@ class Segmenter:
     parts for a network of 33. doubted_below: in the background mode "people", people whose mean probability, by the
     finder, times the mean confidence of their labels is less are things (`least_confidence_of_people`).
     video: carries evidence from frame to frame, which must come in order (`CarriedLabels`); None to label each alone.
-    quarters: right angles by which the camera is mounted turned clockwise, as seen from behind it.
+    quarters: right angles, 0 to 3, by which the camera is mounted turned clockwise, as seen from behind it.
     dense: also tell where on the body's template each pixel lies (`Segmentation.template`).
     either_way: a person of whose parts the network is unsure is labelled upside down, too; the surer labels stay.
-    Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, and a network of other classes, that is
-    no finder, or that knows no places and is to be dense; MissingLibrary without numba.
+    Raises BadConfig for a confidence or quarters out of range, a camera with distortion, and a network of other
+    classes, that is no finder, or that knows no places and is to be dense; MissingLibrary without numba.
     """
 
     def __init__(
@@ -255,7 +255,8 @@ class Segmenter:
         required("numba", "labelling frames", "segment")
         _compute_alone_in_forks()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
-        self.quarters, self._upright = quarters % 4, camera.turned(quarters)
+        self.quarters = check_choice("quarters", quarters, range(4))  # not degrees
+        self._upright = camera.turned(quarters)
         self.background = background or Background()
         self.rig = rig or load_rig()
         self.video = video

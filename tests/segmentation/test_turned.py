@@ -61,6 +61,13 @@ def check_same(found: Segmentation, upright: Segmentation, quarters: int) -> Non
         assert (np.diff(body.pixels) > 0).all() and body.median_range_m == other.median_range_m
 
 
+def test_degrees_are_no_quarters() -> None:
+    """Modulo 4, 90 and 270 would be upside down, and 180 upright."""
+    for degrees in (90, 180, 270, -1):
+        with pytest.raises(BadConfig, match=f"^quarters must be one of 0, 1, 2, 3, found {degrees}$"):
+            Segmenter(Places(0, 5), UPRIGHT, Background("keep"), quarters=degrees)
+
+
 @pytest.mark.parametrize("quarters", TURNS)
 @pytest.mark.parametrize("video", [False, True])
 def test_a_turned_frame_gets_the_labels_of_the_upright_one(quarters: int, video: bool) -> None:
