@@ -14,9 +14,11 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import from_rotation_vector
+from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import in_threads, pieces
 from bodyseg_data.rigs import Camera
+from bodyseg_model.segmentation.views import check_size
 
 Labels = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -189,8 +191,10 @@ class CarriedLabels:
         """Steady the labels of the next frame; returns the label image, uint8 [H, W], 255 off the bodies.
 
         range_m: float32 [H, W], metres, 0 = nothing measured. labels: uint8 [H, W], the network's. bodies: of each its
-        pixels, int64 [N], row * W + column, ascending, and their confidence, float32 [N]. camera: the frame's.
+        pixels, int64 [N], row * W + column, ascending, and their confidence, float32 [N]. camera: the frame's. Raises
+        BadConfig for arrays that do not fit the camera or each other.
         """
+        _check_frame(range_m, labels, bodies, camera)
         if self._last is not None and self._last.camera != camera:
             self._last = None
         last = self._last
@@ -373,6 +377,16 @@ def _parts(points: Floats, labels: Labels) -> tuple[NDArray[np.float64], NDArray
     areas: NDArray[np.float64] = np.bincount(labels, area, 256).astype(np.float64)
     sums = np.stack([np.bincount(labels, area * along, 256) for along in points.T], axis=1)
     return sums / np.maximum(areas, 1e-6)[:, None], areas
+
+
+def _check_frame(range_m: Floats, labels: Labels, bodies: Sequence[SeenBody], camera: Camera) -> None:
+    """Raise BadConfig for what does not fit together: compiled loops check no place."""
+    check_size(range_m.shape, camera)
+    check_size(labels.shape, camera)
+    for pixels, confidence in bodies:
+        inside = not len(pixels) or (pixels[0] >= 0 and pixels[-1] < camera.rows * camera.columns)
+        if not inside or len(confidence) != len(pixels) or (pixels[1:] <= pixels[:-1]).any():
+            raise BadConfig("a body has pixels of the frame, ascending, and a confidence for each, found others")
 
 
 def _nearest(middles: Sequence[Middle], known: dict[int, Middle], within_m: float = SAME_BODY_M) -> list[int | None]:

@@ -11,7 +11,7 @@ import pytest
 from benches.model.real.steady import RigidLabels, StillLabels
 from numpy.typing import NDArray
 
-from bodyseg_data.core import MissingLibrary
+from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
@@ -154,6 +154,21 @@ def test_labels_do_not_depend_on_the_number_of_threads() -> None:
     assert np.count_nonzero(range_m) > 3 * carried_labels._LEAST_PIXELS
     np.testing.assert_array_equal(shown[4:], shown[:4] * 2)
     assert (shown[3] != repeated(labels, 0.3, 3)).any()
+
+
+def test_frames_that_do_not_fit_their_camera_or_bodies_are_refused() -> None:
+    """Compiled loops would write beyond their arrays."""
+    range_m, labels = pillar()
+    pixels = np.flatnonzero(range_m)
+    sure = np.ones(len(pixels), np.float32)
+    carried = CarriedLabels()
+    for image, named, camera in ((range_m, labels, FINE), (range_m[1:], labels, LENS), (range_m, labels[:, 1:], LENS)):
+        with pytest.raises(BadConfig, match="^a frame must have the camera's size, "):
+            carried(image, named, [(pixels, sure)], camera)
+    for body in ((pixels, sure[1:]), (pixels[::-1], sure), (pixels + labels.size, sure), (pixels - labels.size, sure)):
+        with pytest.raises(BadConfig, match="^a body has pixels of the frame, ascending, and a confidence for each"):
+            carried(range_m, labels, [body], LENS)
+    assert (call(carried, range_m, labels) == labels).all()
 
 
 def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
