@@ -151,16 +151,16 @@ class LabelMap:
     def write(self, labels: Bytes, edges: NDArray[np.int32] | None = None, unlabelled: int = BACKGROUND) -> None:
         """Replace a set's labels by class labels in place.
 
-        labels: uint8 [H, W], contiguous. unlabelled: label for surfaces of no class, 254 or 255.
-        edges: int32 [2 N], flat indices in reading order where foreground begins and ends, by turns; None: not known.
+        labels: uint8 [H, W]. unlabelled: label for surfaces of no class, 254 or 255.
+        edges: int32 [2 N], flat indices in reading order where foreground begins and ends, by turns, of contiguous
+        labels; None: not known.
         """
-        flat = labels.reshape(-1)
         table = self._tables[unlabelled]
         if edges is not None:
             with if_ready:
-                loops(_LOOPS).join_runs(flat, edges, table)
+                loops(_LOOPS).join_runs(labels.reshape(-1), edges, table)
                 return
-        flat[:] = looked_up(flat, table)
+        labels[...] = looked_up(labels, table)
 
     @cached_property
     def mirrored(self) -> Bytes:

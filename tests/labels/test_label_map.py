@@ -75,6 +75,10 @@ def test_classes_are_written_in_place(label_map: LabelMap, shape: tuple[int, int
         label_map.write(labels)
         np.testing.assert_array_equal(labels, expected)
         assert (batch[[0, 2]] == 7).all()
+        turned = random.integers(0, 33, shape, np.uint8).T
+        expected = label_map.table[turned]
+        label_map.write(turned)
+        np.testing.assert_array_equal(turned, expected)
 
 
 def test_known_edges_give_the_same_classes() -> None:
