@@ -381,10 +381,12 @@ class LabelledRecording:
                     yield label()
 
     def label(self, number: int) -> LabelledFrame:
-        """Label one frame, as the first of a video. Raises BadConfig, naming it, also if it cannot be read.
+        """Label one frame, as the first of a video; a negative number counts from the end. Raises BadConfig, naming the
+        frame, also if it cannot be read; IndexError beyond the frames.
 
         A camera's first frame is labelled after its segmenter is prepared, so that its times are as others'.
         """
+        number = range(len(self))[number]
         label = cast(Labelling, self._find(number, Frame.read, prepare=True))  # `Frame.read` skips none
         self.labeller.restart()
         return label()

@@ -306,7 +306,10 @@ def test_a_recording_is_labelled_from_its_path(tmp_path: Path) -> None:
     for source in (str(folder), [folder], find_frames([folder]), named):
         again = list(label.recording(source, focal_px=100.0))
         assert all(np.array_equal(one.labels, other.labels) for one, other in zip(again, found, strict=True))
-    np.testing.assert_array_equal(opened.label(1).labels, found[1].labels)
+    for number in (1, -1):
+        last = opened.label(number)
+        np.testing.assert_array_equal(last.labels, found[1].labels)
+        assert last.number == 1
     with pytest.raises(BadConfig, match="no sensor is assumed for frames of 60 x 80 pixels"):
         label.recording(folder)
     with pytest.raises(BadConfig, match="a recording must hold a frame, found none"):
