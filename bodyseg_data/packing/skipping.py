@@ -9,7 +9,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from bodyseg_data.bodies import BodyRef, collapsed
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, ProgressCallback, check_fields, silent
@@ -65,6 +65,9 @@ class FaultyMeshes(BadMesh):
         reasons = list(dict.fromkeys(self.faults.values()))
         more = f"; and {len(reasons) - _NAMED} more" if len(reasons) > _NAMED else ""
         super().__init__(f"{problem}: {'; '.join(reasons[:_NAMED])}{more}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FaultyMeshes, (self.problem, self.faults)  # else its words alone, from which no process could make it
 
     def lines(self) -> list[str]:
         """One line for each reason, with the meshes that it holds for."""

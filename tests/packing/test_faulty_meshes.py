@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -113,9 +114,10 @@ def test_meshes_of_a_finished_set_are_checked_again_only_if_a_file_has_changed(t
 
 
 def test_a_line_for_each_reason_names_its_meshes() -> None:
-    error = FaultyMeshes("3 of 9", {"m_1": "no file", "m_2": "no file", "m_9": "cut short"})
+    raised = FaultyMeshes("3 of 9", {"m_1": "no file", "m_2": "no file", "m_9": "cut short"})
+    error = pickle.loads(pickle.dumps(raised))  # as of a packing in another process
+    assert str(error) == str(raised) == "3 of 9: no file; cut short"
     assert error.lines() == ["m_1 to m_2: no file", "m_9: cut short"]
-    assert str(error) == "3 of 9: no file; cut short"
 
 
 def test_skipped_meshes_leave_the_set_of_a_folder_without_them(tmp_path: Path) -> None:
