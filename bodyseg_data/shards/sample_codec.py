@@ -20,7 +20,7 @@ from bodyseg_data.core import BadSample, check_choice, reported
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
-from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, ImageCodec, OutputArrays
+from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, ImageCodec, OutputArrays
 from bodyseg_data.shards.codecs.png import EarlierPngImages
 from bodyseg_data.shards.earlier import completed
 
@@ -80,7 +80,19 @@ def decode_sample(
     if out is None:
         info = stored_info(members["json"], key)
         return Sample(key, images.range, images.occluder, images.labels, first, info, faces_second=second, planes=found)
-    return _IntoArrays.of(key, images, (first, second), found, members["json"])
+    sample = _IntoArrays.__new__(_IntoArrays)  # not by __init__, which needs the description
+    sample.__dict__.update(
+        key=key,
+        range=images.range,
+        projector_range=images.occluder,
+        labels=images.labels,
+        faces_projector=first,
+        occupancy=Occupancy(images.edges, images.texels),
+        faces_second=second,
+        planes=found,
+        _description=members["json"],
+    )
+    return sample
 
 
 def facing_masks(facing: NDArray[np.uint8], projectors: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
@@ -119,29 +131,6 @@ class _IntoArrays(Sample):
     """A sample decoded into given arrays. Its description, which few artifacts read, is parsed when it is asked for."""
 
     _description: bytes
-
-    @classmethod
-    def of(
-        cls,
-        key: str,
-        images: DecodedImages,
-        facing: tuple[NDArray[np.bool_], NDArray[np.bool_] | None],
-        planes: Mapping[str, NDArray[Any]],
-        description: bytes,
-    ) -> Sample:
-        sample = cls.__new__(cls)  # not by __init__, which needs the description
-        sample.__dict__.update(
-            key=key,
-            range=images.range,
-            projector_range=images.occluder,
-            labels=images.labels,
-            faces_projector=facing[0],
-            occupancy=Occupancy(images.edges, images.texels),
-            faces_second=facing[1],
-            planes=planes,
-            _description=description,
-        )
-        return sample
 
     @cached_property
     def info(self) -> SampleInfo:
