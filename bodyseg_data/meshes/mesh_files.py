@@ -338,17 +338,12 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     Raises BadMesh, naming the file and, for text, the line, for a file that cannot be read, is truncated, is larger
     than `LARGEST_BYTES`, has no vertices or faces, or has faces with missing or non-finite vertices.
     """
-    return _read(path)[:2]
+    content = read_mesh_content(path)
+    return content.vertices, content.faces
 
 
 def read_mesh_content(path: Path) -> MeshContent:
     """Read a mesh file with all in which labels may stand. Raises BadMesh, as `read_mesh` does."""
-    vertices, faces, parsed = _read(path)
-    names = {kind: parsed.named(kind) for kind in parsed.names}
-    return MeshContent(vertices, faces, parsed.of_triangles(), parsed.of_vertices, parsed.of_polygons, names)
-
-
-def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
     suffix = mesh_suffix(path.name)
     if suffix is None:
         raise BadMesh(f"a mesh file's name must end in {', '.join(MESH_SUFFIXES)}, found {path}")
@@ -360,7 +355,9 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
     check_arrays(str(path), vertices, faces, check_unused=False)
     if len(faces) > len(parsed.polygons):
         faces = _unfolded(vertices, faces, parsed.of_triangles())
-    return vertices, faces.astype(np.int32), parsed
+    names = {kind: parsed.named(kind) for kind in parsed.names}
+    of_triangles = parsed.of_triangles()
+    return MeshContent(vertices, faces.astype(np.int32), of_triangles, parsed.of_vertices, parsed.of_polygons, names)
 
 
 def mesh_suffix(name: str, suffixes: Sequence[str] = MESH_SUFFIXES) -> str | None:
