@@ -74,8 +74,11 @@ class Camera:
             raise BadConfig(f"a camera must not aim at its own position, found {self.aims_at_m}")
         if not np.linalg.norm(np.cross(self.up, axis)) >= _LEAST_ACROSS:
             raise BadConfig(f"a camera must not look straight up or down, along its 'up', found {axis.tolist()}")
-        if self.distortion is not None and not self.distortion.is_one_to_one(*self._image_plane(_CHECKED_NODES)):
-            raise BadConfig(f"lens distortion must not fold the image over, found {self.distortion}")
+        if self.distortion is not None:
+            across = (np.linspace(0, self.columns, _CHECKED_NODES) - self.centre_px[0]) / self.focal_px
+            down = (np.linspace(0, self.rows, _CHECKED_NODES) - self.centre_px[1]) / self.focal_px
+            if not self.distortion.is_one_to_one(*np.meshgrid(across, down)):
+                raise BadConfig(f"lens distortion must not fold the image over, found {self.distortion}")
 
     @property
     def axes(self) -> Floats:
@@ -121,13 +124,6 @@ class Camera:
                 distortion=None if camera.distortion is None else camera.distortion.turned(),
             )
         return camera
-
-    def _image_plane(self, nodes: int) -> tuple[Floats, Floats]:
-        """Coordinates x and y, at z = 1, of a lattice that spans the image, each float64 [nodes, nodes]."""
-        across = (np.linspace(0, self.columns, nodes) - self.centre_px[0]) / self.focal_px
-        down = (np.linspace(0, self.rows, nodes) - self.centre_px[1]) / self.focal_px
-        x, y = np.meshgrid(across, down)
-        return x, y
 
     def to_json(self) -> dict[str, Any]:
         """The camera as plain JSON; `up`, roll and distortion only where they are not the default."""
