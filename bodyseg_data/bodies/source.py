@@ -151,11 +151,9 @@ class ListedBodies(Generic[Entry]):
         return f"{type(self).__name__}(name={self.name!r}, bodies={len(self._entries)}, missing={len(self._missing)})"
 
     def bodies(self) -> Sequence[BodyRef]:
-        """Return all bodies found, in their fixed order."""
         return tuple(self._entries)
 
     def missing(self) -> Sequence[str]:
-        """Return the names of the files that a complete set has and this one lacks, in order."""
         return self._missing
 
     def check(self, body: BodyRef) -> None:

@@ -41,7 +41,6 @@ class BlenderProcRenders(RenderSource):
             self.planes = {_PLANE: "uint16"}
 
     def read(self, key: str) -> Mapping[str, Stored]:
-        """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
         path = self._files[RANGE][key]
         data = _datasets(path)
         found = {RANGE: _range(data, path), LABELS: Stored(_labels(data, path), f"{path}, labels")}

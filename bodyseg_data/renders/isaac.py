@@ -67,7 +67,6 @@ class IsaacRenders(RenderSource):
             self.fields = {_POSE: "numbers", **self.fields}
 
     def read(self, key: str) -> Mapping[str, Stored]:
-        """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
         found = {}
         for kind in (RANGE, LABELS, PROJECTOR):
             if kind in self._files:

@@ -36,7 +36,6 @@ class PlainRenders(RenderSource):
         self.planes = {name: "uint8" if image.dtype == np.uint8 else "uint16" for name, image in first.items()}
 
     def read(self, key: str) -> Mapping[str, Stored]:
-        """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
         ray, coloured = self._content.along == "ray", {LABELS} if self._content.table.colours else ()
         found = {kind: files[key] for kind, files in self._files.items()}
         images = {kind: read_array(path, kind in coloured, kind == LABELS) for kind, path in found.items()}

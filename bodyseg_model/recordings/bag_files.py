@@ -99,7 +99,6 @@ class McapBag:
             raise ValueError(f"it must have at most {MOST_MESSAGES} messages, of times and places below 2^63")
 
     def read(self, topic: Topic, index: int) -> bytes:
-        """Read message `index` of a topic."""
         _, _, chunk, offset = self._locations[topic][index].tolist()
         if chunk == _PLAIN:
             with self._path.open("rb") as file:
@@ -317,7 +316,6 @@ class _JoinedBags:
         self.topics = list(self._homes)
 
     def read(self, topic: Topic, index: int) -> bytes:
-        """Read message `index` of a topic."""
         homes = self._homes[topic]
         ends = [*accumulate(len(of_part.times_ns) for _, of_part in homes)]
         number = bisect_right(ends, index)
