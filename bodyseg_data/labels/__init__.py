@@ -1,7 +1,5 @@
 """Classes of sets, the 33 parts among them, and label maps that join them to fewer classes."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

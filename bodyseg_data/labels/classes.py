@@ -3,8 +3,6 @@
 Files hold 0 to 253 for classes, `UNLABELLED` on a surface that has none, and `BACKGROUND` where nothing was measured.
 """
 
-from __future__ import annotations
-
 import colorsys
 import re
 from collections.abc import Iterable, Mapping, Sequence

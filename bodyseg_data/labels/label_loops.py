@@ -1,7 +1,5 @@
 """Joining labels in place, compiled, where foreground is: most of an image is background."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from bodyseg_data.machine import compiled

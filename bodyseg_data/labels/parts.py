@@ -5,8 +5,6 @@ them; a part's index in `PARTS` is its label. "Rt." and "Lt." are the subject's 
 pairs, the left one of a pair lighter.
 """
 
-from __future__ import annotations
-
 import colorsys
 from dataclasses import dataclass
 from typing import Final, Literal

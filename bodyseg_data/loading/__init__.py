@@ -1,7 +1,5 @@
 """Batches of range images from shards."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

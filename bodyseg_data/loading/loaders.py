@@ -1,7 +1,5 @@
 """Batches of range images, made by worker threads or processes and delivered without a copy."""
 
-from __future__ import annotations
-
 import os
 import time
 import weakref

@@ -6,8 +6,6 @@ next. All of it is integer arithmetic, so an epoch gets the same numbers on ever
 are asked for. A set gives its samples pass after pass, each in an order of its own.
 """
 
-from __future__ import annotations
-
 import bisect
 import hashlib
 import itertools

@@ -6,8 +6,6 @@
 Readers of streams check no bytes, and their order depends on workers: `loader` does better at both.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from typing import Any

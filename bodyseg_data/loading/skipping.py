@@ -1,7 +1,5 @@
 """Bad samples that a loader skips: up to a budget, every one recorded."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeVar

@@ -4,8 +4,6 @@ No pixel is copied or sent between processes, and after the first few batches no
 touched for the first time. The memory has no name, so that nothing is left behind; a small /dev/shm does not limit it.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import mmap

@@ -14,8 +14,6 @@ A transform is a frozen dataclass:
 or a function with these two arguments, which has no parameters and leaves images as large as they are.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import Field, asdict, dataclass, replace

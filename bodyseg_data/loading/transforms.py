@@ -4,8 +4,6 @@ Of a moved image, a pixel takes its value from the nearest one of the image as i
 surfaces.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, replace

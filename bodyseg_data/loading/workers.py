@@ -5,8 +5,6 @@ the compiled loops; the Python code between them takes turns. Processes handle r
 no semaphore or named resource.
 """
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import multiprocessing.forkserver

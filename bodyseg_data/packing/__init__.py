@@ -1,7 +1,5 @@
 """Packing: bodies are rendered into shards, and scenes that were rendered elsewhere are written."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

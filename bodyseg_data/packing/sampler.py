@@ -1,7 +1,5 @@
 """A stored sample from two cameras' views of a labelled body; the same code for every renderer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Final

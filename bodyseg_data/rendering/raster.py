@@ -7,8 +7,6 @@ so no ray passes between them, and no clipping is needed. Along a row each tripl
 column, also as rounded, so the pixels of a triangle are one span: it is looked for at its ends only.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

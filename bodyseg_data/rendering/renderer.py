@@ -9,8 +9,6 @@ corners' pixels. All boxes are filled at once, in blocks of pixels: each adds an
 two cumulative sums fill it (the inverse of a summed-area table, Crow 1984).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Final, Literal, Protocol

@@ -1,7 +1,5 @@
 """Made rooms: furniture, walls and people drawn by keys, seen as a rig sees them, as shards."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -4,8 +4,6 @@ A thing stands on y = 0 around x = z = 0, in metres: x to the right, y up, its f
 covers, coats, bags, leaves) is bent by waves. The height of a seat is drawn unless given.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import lru_cache, partial

@@ -4,8 +4,6 @@ Samples of a block share 20 people, drawn by its number: building them takes lon
 them first builds them and leaves them to the others in the state folder. The bytes are the same for any number.
 """
 
-from __future__ import annotations
-
 import fcntl
 from contextlib import suppress
 from functools import lru_cache, partial

@@ -6,8 +6,6 @@ it is packed. What is dark or shiny returns too little light: the camera measure
 still hides what is behind.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ size in a part's name reserves its space. The process that writes a part holds a
 releases if the process is killed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import hashlib

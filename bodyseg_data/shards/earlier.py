@@ -4,8 +4,6 @@ Formats 5 and 6 knew the 33 parts alone, one rig a set, and twelve fixed fields 
 manifest (docs/reference/shard_format.md). Their images are `BSI2`, or PNGs whose label bytes hold the facing bits.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Networks, their registry and their files."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

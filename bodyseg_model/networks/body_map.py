@@ -6,8 +6,6 @@ rest are what others regress, too (Wang et al., "Normalized object coordinate sp
 al., "The Vitruvian manifold", 2012, for people).
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Final, NamedTuple
 

@@ -1,7 +1,5 @@
 """Networks in files: weights as safetensors, all else as JSON beside them. No pickle; nothing in a file is run."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 from collections.abc import Callable, Iterable, Mapping

@@ -6,8 +6,6 @@ since a part is recognised by its position in the body. Every cell yields 4 x 4 
 interpolated.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields

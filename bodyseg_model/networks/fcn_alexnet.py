@@ -11,8 +11,6 @@ Training may start from AlexNet's published weights, in a file that the user has
 `bvlcalexnet-12.onnx` of the ONNX model zoo; its graph is not run.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import ClassVar, Final

@@ -7,8 +7,6 @@ Networks see images checked, centred, averaged, and cut into the patches that `c
 which GPUs need, that takes 1.1 ms an image of 640 x 329 pixels; by `patch_loops`, 0.4 ms, to the same values.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from importlib import import_module

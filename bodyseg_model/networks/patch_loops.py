@@ -2,8 +2,6 @@
 and within rounding those of `network.metric_patches`.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

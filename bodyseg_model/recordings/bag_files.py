@@ -5,8 +5,6 @@ MCAP files (https://mcap.dev/spec), chunked or not, with an index or without; an
 beside a metadata.yaml.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sqlite3

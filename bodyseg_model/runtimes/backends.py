@@ -3,8 +3,6 @@
 Networks that are not trained any more are computed as torch does it quickest: folded, and in bfloat16.
 """
 
-from __future__ import annotations
-
 import copy
 import itertools
 import os

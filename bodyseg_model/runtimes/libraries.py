@@ -1,7 +1,5 @@
 """The libraries that compute ONNX graphs on the processor, by name."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from abc import ABC, abstractmethod

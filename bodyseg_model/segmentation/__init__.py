@@ -1,7 +1,5 @@
 """Segmentation of the frames of a real sensor: background removal, resampling, labels, overlays."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

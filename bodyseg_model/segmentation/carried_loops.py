@@ -5,8 +5,6 @@ A pixel has three slots of evidence, uint32: weight << 8 | label, in units of 1 
 shown, the others contend for its place. All arithmetic on evidence is of whole numbers.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any, Final

@@ -7,8 +7,6 @@ w = G⁻¹1 / 1ᵀG⁻¹1, of variance 1 / 1ᵀG⁻¹1. So any part may be hidde
 guessed. Lengths and moments are fitted by `bench joints`; docs/how-to/robot.md has the errors.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

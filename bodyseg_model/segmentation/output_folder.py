@@ -2,8 +2,6 @@
 and the writer of labels, overlays, preview and summary, beside the labelling of the next frames.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -4,8 +4,6 @@ Coordinates are the camera's, metres: x to the right and y down in the image, z 
 frame that shows left for right, x is turned round, as the camera itself sees. Records are NumPy structured arrays.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final

@@ -4,8 +4,6 @@ PNGs have rows that are not filtered: labels and overlays hold large areas of fe
 takes Pillow most of the time, make neither smaller.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

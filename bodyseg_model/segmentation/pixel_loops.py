@@ -7,8 +7,6 @@ For overlays: flat: ranges of a frame, float32 [N], metres; near, scale: `pictur
 [C + 3, S, 3], `pictures._table`; picture: sRGB uint8 [N, 3].
 """
 
-from __future__ import annotations
-
 from functools import partial
 from math import exp, floor
 from typing import Any, Final

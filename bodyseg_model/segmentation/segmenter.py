@@ -1,7 +1,5 @@
 """Segmentation of a frame of any range camera: remove the background, resample and label each body, map labels back."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ compared with the same pixel of the next frame, so labels also change where the 
 changed are counted separately: few of them change for that reason.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

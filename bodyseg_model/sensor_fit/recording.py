@@ -1,7 +1,5 @@
 """Frames of one sensor with the pixels of people marked, as every measurement here reads them, and surfaces in them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial

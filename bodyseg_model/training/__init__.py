@@ -1,7 +1,5 @@
 """Training: shards and a recipe give a network."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -2,8 +2,6 @@
 people partly out of view.
 """
 
-from __future__ import annotations
-
 import math
 from importlib import import_module
 

@@ -1,7 +1,5 @@
 """Distributed training: torchrun's process group, and the device of each process."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 which GPUs need (`augmentation`, `loss`).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

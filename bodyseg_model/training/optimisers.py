@@ -1,7 +1,5 @@
 """The optimisers that a recipe names, and their state as tensors with names."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final

@@ -9,8 +9,6 @@ tensorboard/              the same for TensorBoard
 network.safetensors, network.json   the trained network and its card
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

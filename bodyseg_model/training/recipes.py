@@ -1,7 +1,5 @@
 """Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Validation, scores at fixed steps on images that a training does not train on, and metrics of the steps between."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass

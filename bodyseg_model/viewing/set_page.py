@@ -1,7 +1,5 @@
 """The controls of a set's page: a sample, its variant, and the strengths of a sensor's artifacts."""
 
-from __future__ import annotations
-
 import shlex
 import threading
 from collections.abc import Callable
