@@ -10,7 +10,7 @@ from typing import Final
 
 from bodyseg_data.bodies.anny_model import Figure
 from bodyseg_data.bodies.anny_people import HIP_HAND, PEOPLE, person
-from bodyseg_data.bodies.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.outfits import OUTFITS
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
@@ -186,7 +186,7 @@ def _postures() -> Listed:
         # One in three wears something, each time something else.
         dressed = index % _DRESSED_EVERY == _DRESSED_EVERY - 1
         outfit = outfits[index // _DRESSED_EVERY % len(outfits)] if dressed else None
-        yield ref, partial(_figure, _FIRST_PERSON + index, pose, outfit)
+        yield ref, partial(Figure, person(_FIRST_PERSON + index), pose, outfit=outfit)
 
 
 def _turned() -> Listed:
@@ -195,8 +195,4 @@ def _turned() -> Listed:
         degrees = step * 360 // _TURNS
         ref = BodyRef("hard", f"H{number:02d}", f"turned-{degrees:03d}", f"turned_{degrees:03d}", "test")
         pose = replace(_TURNED, trunk=replace(_TURNED.trunk, turn=float(degrees)))
-        yield ref, partial(_figure, _FIRST_PERSON + number, pose, None)
-
-
-def _figure(number: int, pose: Pose, outfit: Outfit | None) -> Figure:
-    return Figure(person(number), pose, outfit=outfit)
+        yield ref, partial(Figure, person(_FIRST_PERSON + number), pose)
