@@ -197,10 +197,12 @@ def edges_collapsed(mesh: Mesh, landmarks: Indices, count: int, optimal: bool = 
     optimal: put the vertex that an edge becomes where the error is least; else at one of its ends, so that every vertex
     left is one of the mesh's. Raises BadMesh if the result is no body, MissingLibrary without pymeshlab.
     """
-    low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
+    used, points = np.unique(mesh.faces), mesh.surface_vertices
+    low, high = points.min(axis=0), points.max(axis=0)
+    outermost = used[np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])]  # the bounding box stays with them
     held, edges = np.zeros(len(mesh.vertices), np.bool_), find_edges(mesh.faces)
     seams = edges.ends[edges.faces != 2].ravel()  # also rims of holes: the sides of a seam would part if they moved
-    held[np.concatenate([landmarks, _outermost(mesh), seams])] = True
+    held[np.concatenate([landmarks, outermost, seams])] = True
     if isinstance(mesh, SceneMesh):
         held[_between_labels(mesh)] = True
     fixed = np.asarray(held[mesh.faces].any(axis=1))
@@ -257,11 +259,3 @@ def _between_labels(mesh: SceneMesh) -> Indices:
     np.minimum.at(low, mesh.faces, mesh.labels.min(axis=1)[:, None])
     np.maximum.at(high, mesh.faces, mesh.labels.max(axis=1)[:, None])
     return np.flatnonzero(low < high)
-
-
-def _outermost(mesh: Mesh) -> Indices:
-    """Six vertices that hold the bounding box where it is."""
-    used = np.flatnonzero(np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices)))
-    points = mesh.vertices[used]
-    outermost: Indices = used[np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])]
-    return outermost
