@@ -365,10 +365,10 @@ class Training:
             range_m, labels, places = augmented(range_m, labels, *moving)
             name = f"pixels {index}"
             offset = torch.from_numpy(Draws(self.seed, self.step, "").generator(name).random(2, np.float32))
-            with (
-                self._gradient_sync(objective, index),
-                torch.autocast(device.type, torch.bfloat16, enabled=recipe.bf16),
-            ):
+            # Gradients are exchanged between processes in the last batch of a step only.
+            alone = self.processes.world_size == 1 or index == recipe.accumulate - 1
+            exchange: Any = contextlib.nullcontext() if alone else objective.no_sync()  # type: ignore[operator]  # of DDP
+            with exchange, torch.autocast(device.type, torch.bfloat16, enabled=recipe.bf16):
                 loss, counts, off_mm = objective(range_m, labels, offset, places)
                 if not torch.isfinite(loss):
                     raise Diverged(
@@ -383,13 +383,6 @@ class Training:
         if self.averaged is not None:
             self.averaged.update(self.network, self.step)
         self.step += 1
-
-    def _gradient_sync(self, objective: nn.Module, index: int) -> contextlib.AbstractContextManager[None]:
-        """Context in which gradients are exchanged between processes in the last batch of a step only."""
-        if self.processes.world_size > 1 and index < self.recipe.accumulate - 1:
-            quiet: contextlib.AbstractContextManager[None] = objective.no_sync()  # type: ignore[operator]  # of DDP
-            return quiet
-        return contextlib.nullcontext()
 
 
 def check_template(images: ImageSet) -> None:
