@@ -156,22 +156,17 @@ class ViewGrid:
             yield View(distance, index * self.azimuths // len(self) * step, pitch, roll, height)
 
     def _rows(self) -> list[tuple[int, int, int, int]]:
-        """All combinations of what an azimuth is combined with; 0 stands for what is drawn."""
+        """All combinations of what an azimuth is combined with, in an order whose every beginning has each value about
+        equally often; 0 stands for what is drawn.
+        """
         rows: list[tuple[int, ...]] = [(distance,) for distance in self.distances_cm]
         for name in _LIMITS:
             choice = getattr(self, name)
-            rows = _combined(rows, (0,) if isinstance(choice, Drawn) else choice)
+            values = (0,) if isinstance(choice, Drawn) else choice
+            # Rows and values advance together; where they would repeat, values skip one.
+            period, count = math.lcm(len(rows), len(values)), len(rows) * len(values)
+            rows = [(*rows[n % len(rows)], values[(n + n // period) % len(values)]) for n in range(count)]
         return [(distance, pitch, roll, height) for distance, pitch, roll, height in rows]
-
-
-def _combined(rows: list[tuple[int, ...]], values: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """All combinations of rows and values, in an order whose every beginning has each of them about equally often.
-
-    Rows and values advance together; where they would repeat, after a common multiple of their counts, values skip one.
-    """
-    period = math.lcm(len(rows), len(values))
-    count = len(rows) * len(values)
-    return [(*rows[n % len(rows)], values[(n + n // period) % len(values)]) for n in range(count)]
 
 
 def _draw(drawn: Drawn, key: str, purpose: str) -> int:
