@@ -187,7 +187,9 @@ class HttpTransport:
     async def _request(self, address: str, start: int | None, stop: int | None) -> tuple[Any, bytes, Any]:
         filesystem = self._filesystem.get()
         session = await filesystem.set_session()
-        request = _request_options(filesystem)
+        # aiohttp gets the options of neither the filesystem nor its listings.
+        own = inspect.signature(type(filesystem).__init__).parameters.keys() | _LISTINGS
+        request = {name: value for name, value in filesystem.storage_options.items() if name not in own}
         headers = {**(request.pop("headers", None) or {}), "Accept-Encoding": "identity"}
         if start is not None and stop is not None:
             headers["Range"] = f"bytes={start}-{stop - 1}"
@@ -201,12 +203,6 @@ class HttpTransport:
 
     def _run(self, work: Any, *arguments: Any) -> Any:
         return import_module("fsspec.asyn").sync(self._filesystem.get().loop, work, *arguments)
-
-
-def _request_options(filesystem: Any) -> dict[str, Any]:
-    """Options passed to aiohttp with every request: those of neither the filesystem nor its listings."""
-    own = inspect.signature(type(filesystem).__init__).parameters.keys() | _LISTINGS
-    return {name: value for name, value in filesystem.storage_options.items() if name not in own}
 
 
 async def _read_chunk(response: Any) -> tuple[bytes, Exception | None]:
