@@ -163,15 +163,9 @@ class ShadowTest:
 
 
 @lru_cache(maxsize=64)
-def shadow_test(rig: Rig) -> ShadowTest:
-    """The shadow test of a rig's first projector, built once a process."""
-    return ShadowTest(rig)
-
-
-@lru_cache(maxsize=64)
 def shadow_tests(rig: Rig) -> tuple[ShadowTest, ...]:
     """The shadow tests of all projectors of a rig, each of a rig with that one alone, built once a process."""
-    return tuple(shadow_test(single) for single in rig.by_projector())
+    return tuple(map(ShadowTest, rig.by_projector()))
 
 
 class ProjectorView(NamedTuple):
@@ -190,8 +184,9 @@ def projector_views(rig: Rig, sample: Sample) -> list[ProjectorView]:
     """
     image = sample.occluder_range()
     texels = None if sample.occupancy is None else sample.occupancy.texels
+    tests = shadow_tests(rig)
     if rig.second_projector is None:
-        return [ProjectorView(shadow_test(rig), image, sample.faces_projector, texels)]
+        return [ProjectorView(tests[0], image, sample.faces_projector, texels)]
     if sample.faces_second is None or image.shape != rig.projector_shape:
         mask = "without" if sample.faces_second is None else "with"
         raise BadSample(
@@ -204,7 +199,6 @@ def projector_views(rig: Rig, sample: Sample) -> list[ProjectorView]:
         start = rows * rig.projector.columns
         first, second = np.split(texels, [np.searchsorted(texels, start)])
         second = second - np.int32(start)
-    tests = shadow_tests(rig)
     return [
         ProjectorView(tests[0], image[:rows], sample.faces_projector, first),
         ProjectorView(tests[1], image[rows:], sample.faces_second, second),

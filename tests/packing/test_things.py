@@ -13,8 +13,7 @@ from shapes import evenly_drawn, figure, mean_by_place
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts import VARIANTS
-from bodyseg_data.artifacts.occlusion import shadow_test
+from bodyseg_data.artifacts import VARIANTS, shadow_tests
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import Row, draw_sheet
@@ -100,7 +99,7 @@ def test_things_cast_shadows_and_receive_them() -> None:
     ]
     shadow = lit_thing = dark_thing = 0
     for plain, sample in with_things:
-        test = shadow_test(SMALL)
+        test = shadow_tests(SMALL)[0]
         lit = test.lit(sample.range, sample.occluder_range(), sample.faces_projector)
         before = test.lit(plain.range, plain.occluder_range(), plain.faces_projector)
         body = sample.labels < UNLABELLED

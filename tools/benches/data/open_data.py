@@ -26,8 +26,7 @@ from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
 from benches.data.loader.pngs import DECODERS, time_decoders
 from benches.measuring import counter, evenly_spaced, median_time
-from bodyseg_data.artifacts import VARIANTS, VariantName
-from bodyseg_data.artifacts.occlusion import shadow_test
+from bodyseg_data.artifacts import VARIANTS, VariantName, shadow_tests
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.loading import Batch, RangeImages, loader
 from bodyseg_data.packing import ShardWriter
@@ -158,7 +157,7 @@ def _facing(scenes: Sequence[SceneArrays], rig: Rig, folder: Path) -> list[Any]:
 
 def _encode_all(samples: Sequence[Sample], projector_m: Mapping[str, Any] | None, rig: Rig) -> None:
     """Encode samples as packing does. projector_m: by key, whole ranges that are reduced to what shadows need."""
-    test = shadow_test(rig)
+    test = shadow_tests(rig)[0]
     for sample in samples:
         if projector_m is not None:
             whole = projector_m[sample.key].reshape(-1)

@@ -19,8 +19,7 @@ from benches.charts.fronts import pareto_front
 from benches.data.codec.baselines import Baseline, baselines, label_bytes
 from benches.environment import computed_by
 from benches.measuring import median_time, mixed
-from bodyseg_data.artifacts import VARIANTS, Augmentation, ShadowTest
-from bodyseg_data.artifacts.occlusion import shadow_test
+from bodyseg_data.artifacts import VARIANTS, Augmentation, ShadowTest, shadow_tests
 from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.packing import Sampler
@@ -69,7 +68,7 @@ def bench_codec(views: int = 60, progress: ProgressCallback = silent) -> dict[st
     others = baselines()
     costs = {baseline.name: {kind: _Costs() for kind in _IMAGES} for baseline in others}
     ours = {name: {kind: _Costs() for kind in ("range and labels", "projector")} for name in ("bsi, NumPy", DEFAULT)}
-    sizes, rounding = _Sizes(), _Rounding(shadow_test(load_rig()))
+    sizes, rounding = _Sizes(), _Rounding(shadow_tests(load_rig())[0])
     for done, (sample, exact) in enumerate(_samples(views), start=1):
         images = sample.range, label_bytes(sample.labels, sample.faces_projector), sample.occluder_range()
         for turn in range(len(others)):
@@ -107,7 +106,7 @@ def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
                 sample = sampler.take(view)
                 _, projector = rig.placed(body.mesh.centre, view)
                 exact = exact_range(
-                    shadow_test(rig),
+                    shadow_tests(rig)[0],
                     sample.range,
                     sample.faces_projector,
                     lambda texels, at=projector, seen=renderer: steps(  # type: ignore[misc]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.codec.baselines import label_bytes, predicted
-from bodyseg_data.artifacts.occlusion import shadow_test
+from bodyseg_data.artifacts import shadow_tests
 from bodyseg_data.bodies import BodyRef, BodySource
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh
@@ -93,7 +93,7 @@ class _Scene:
         if whole_projector:
             projector_range = steps(renderer.render(projector).range, step_m, view.name)
         else:
-            test = shadow_test(self.rig)
+            test = shadow_tests(self.rig)[0]
             projector_range = occluder_range(
                 test, camera_range, facing, lambda texels: steps(renderer.ranges(projector, texels), step_m, view.name)
             )
