@@ -119,14 +119,13 @@ class Limb:
         self._person = person
         self._names = [bone for bone in (*upper, *ends) if f"{bone}.{side}" in person.numbers]
         self._bones = np.array([person.numbers[f"{bone}.{side}"] for bone in self._names])
-        local = {bone: index for index, bone in enumerate(self._bones)}
-        self._parents = [local.get(person.parents[bone], -1) for bone in self._bones]
+        self._local = np.full(len(person.bones), -1)
+        self._local[self._bones] = np.arange(len(self._bones))
+        self._parents = self._local[person.parents[self._bones]]
         self._upper = len(upper)
         self._bone_offsets = person.heads[self._bones] - person.heads[person.parents[self._bones]]
         self._ends: dict[float, tuple[Floats, Floats]] = {}
         self.base_bone = int(person.parents[self._bones[0]])
-        self._local = np.full(len(person.bones), -1)
-        self._local[self._bones] = np.arange(len(self._bones))
         skinned = self._bones[_TORSO_BONES if kind == "arm" else 0 :]
         self.vertices: NDArray[np.bool_] = np.isin(person.owner, skinned)
         joint = upper.index("lowerarm01" if kind == "arm" else "lowerleg01")
