@@ -194,18 +194,14 @@ def transform_image(
         count = counts[each.name] = counts.get(each.name, 0) + 1
         purpose = f"transform {each.name}" if count == 1 else f"transform {each.name} {count}"
         shape = each.shape(*image.range.shape)
-        image = _checked_image(_called(each, image, draws.generator(purpose)), image, each.name, shape, unlabelled)
+        where = f"{image.key}: transform {each.name!r}"
+        with BadTransform.named(where, passes=BadSample), reported(where, BadSample):
+            found = each(image, draws.generator(purpose))
+        image = _checked_image(found, image, where, shape, unlabelled)
     return image
 
 
-def _called(transform: Transform, image: CameraImage, random: np.random.Generator) -> Any:
-    where = f"{image.key}: transform {transform.name!r}"
-    with BadTransform.named(where, passes=BadSample), reported(where, BadSample):
-        return transform(image, random)
-
-
-def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, int], unlabelled: int) -> CameraImage:
-    where = f"{image.key}: transform {name!r}"
+def _checked_image(found: Any, image: CameraImage, where: str, shape: tuple[int, int], unlabelled: int) -> CameraImage:
     if not isinstance(found, CameraImage):
         raise BadTransform(f"{where} must return a CameraImage, found {type(found).__name__}")
     for fixed in ("key", "step_m"):
