@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from bodyseg_data.bodies.mesh_bodies import MeshBodies
     from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
     from bodyseg_data.bodies.skeleton import RigidMotion, about, from_rotation_vector
-    from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed
+    from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed, shortened
     from bodyseg_data.bodies.sources import SOURCES, SourceEntry, check_source, open_source
     from bodyseg_data.bodies.template import load_template, region_labels
 else:

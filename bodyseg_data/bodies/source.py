@@ -29,11 +29,15 @@ Entry = TypeVar("Entry")
 def key_name(path: str, longest: int) -> str:
     """Turn a file's relative path, with / between folders, into part of a sample key: letters, digits, _, + and -.
 
-    Different paths give different names: "/" becomes "++" and any other byte "+" and two hexadecimal digits. A name
-    longer than `longest` ends in ten digits of a hash of the whole in place of the rest.
+    Different paths give different names: "/" becomes "++" and any other byte "+" and two hexadecimal digits.
+    longest: as of `shortened`.
     """
     quoted = quote_from_bytes(os.fsencode(path), safe="/").replace(".", "%2E").replace("~", "%7E")
-    name = quoted.replace("%", "+").replace("/", "++")
+    return shortened(quoted.replace("%", "+").replace("/", "++"), longest)
+
+
+def shortened(name: str, longest: int) -> str:
+    """A name; one longer than `longest` ends in ten digits of a hash of the whole in place of the rest."""
     if len(name) <= longest:
         return name
     return f"{name[: longest - _HASH_LETTERS - 1]}-{hashlib.sha256(name.encode()).hexdigest()[:_HASH_LETTERS]}"

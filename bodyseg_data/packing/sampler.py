@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import ShadowTest, shadow_tests
-from bodyseg_data.bodies import BodyRef, load_template
+from bodyseg_data.bodies import BodyRef, load_template, shortened
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, TEMPLATE, UNLABELLED
 from bodyseg_data.meshes import Mesh, Partition, SceneMesh
 from bodyseg_data.packing.occluders import occluder_range
@@ -17,6 +17,7 @@ from bodyseg_data.rendering import Renderer
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import HELD, Sample, SampleInfo, Value, View, steps
 
+_LONGEST_KEY: Final = 80  # by `check_key`
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
 _SURE_M: Final = 1e-4  # from a triangle's plane: a light farther away is on one side of it despite rounding
 
@@ -31,8 +32,10 @@ def body_key(source: str, body: BodyRef) -> str:
 
 
 def sample_key(source: str, body: BodyRef, view: View) -> str:
-    """The identity of a sample: it names the body and the view, nothing that depends on how shards are cut."""
-    return f"{body_key(source, body)}-{view.name}"
+    """The identity of a sample: it names the body and the view, nothing that depends on how shards are cut. The body's
+    part is shortened where the view's, with pitch, roll and height, leaves no room for it.
+    """
+    return f"{shortened(body_key(source, body), _LONGEST_KEY - 1 - len(view.name))}-{view.name}"
 
 
 class Sampler:

@@ -20,9 +20,10 @@ from bodyseg_data.meshes import Mesh, Partition, partition
 from bodyseg_data.meshes.partitioning import find_borders
 from bodyseg_data.packing import Sampler
 from bodyseg_data.packing.occluders import COARSEST_STEP
+from bodyseg_data.packing.sampler import sample_key
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Rig, load_rig
-from bodyseg_data.samples import Sample, View
+from bodyseg_data.samples import Sample, View, check_key
 from bodyseg_data.shards import BODY_FIELDS, encode_sample
 from bodyseg_data.shards.sample_codec import decode_sample
 
@@ -41,6 +42,16 @@ def halves(mesh: Mesh) -> Partition:
     sign = np.where(labels[mesh.faces[borders.faces]] == 3, -1.0, 1.0)
     borders.distance[:] = 10 + sign[:, :, None] * corner_x[:, None, :]
     return Partition(labels, np.ones(len(x)), borders)
+
+
+def test_a_key_names_body_and_view_however_long_both_are() -> None:
+    long = [replace(REF, subject="s" * 20, mesh="m" * 38 + end) for end in ("1", "2")]
+    views = View(215, 0), View(600, 350, -90), View(600, 350, -90, -179, -300), View(600, 350, -90, -179, 300)
+    keys = [sample_key("labelled", ref, view) for ref in (REF, *long) for view in views]
+    for key in keys:
+        check_key(key)
+    assert len(set(keys)) == 12 and all(key.endswith(view.name) for key, view in zip(keys, 3 * views, strict=True))
+    assert keys[2] == "labelled-P007-ball-1-d600-a350-p-90-r-179-h-300"
 
 
 def one_part(mesh: Mesh) -> Partition:
