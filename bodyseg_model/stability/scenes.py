@@ -385,12 +385,11 @@ class _PosedBody:
         """Image of the other camera with the longest focal length, level and near, resampled; the frame's lower end is
         at a landmark.
         """
-        upright = sensor(_FOCALS_PX[0])
+        camera = sensor(_FOCALS_PX[0])
         border = self.body.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]
-        above = _DESK_M * (upright.rows - upright.centre_px[1]) / upright.focal_px
-        camera = mounted(upright, rig)
-        placed = looking_down(camera, np.add(border, (0, above, 0)), self.azimuth_deg, _DESK_M, 0.0)
-        return resampled(self._seen_by(placed, rig), camera, rig)
+        above = _DESK_M * (camera.rows - camera.centre_px[1]) / camera.focal_px
+        placed = looking_down(mounted(camera, rig), np.add(border, (0, above, 0)), self.azimuth_deg, _DESK_M, 0.0)
+        return resampled(self._seen_by(placed, rig), placed.camera, rig)
 
     def _rendered(self, rig: Rig, camera: Camera, distance_m: float, tilt_deg: float = 0.0) -> LabelledImage:
         """Image of a camera in the rig's steps, without shadows of a projector."""
