@@ -421,9 +421,9 @@ def with_baseline(rig: Rig, baseline_m: float) -> Rig:
 
     A second projector is left out: the sweep is over the baseline of one.
     """
-    aim = (0.0, 0.0, rig.stand_off_m)
-    projector = replace(rig.projector, position_m=(-baseline_m, 0.0, 0.0), aims_at_m=aim)
-    camera = replace(rig.camera, position_m=(0.0, 0.0, 0.0), aims_at_m=aim)
+    ahead: dict[str, Any] = {"aims_at_m": (0.0, 0.0, rig.stand_off_m), "up": Camera.up}
+    projector = replace(rig.projector, position_m=(-baseline_m, 0.0, 0.0), **ahead)
+    camera = replace(rig.camera, position_m=(0.0, 0.0, 0.0), **ahead)
     return replace(rig, camera=camera, projector=projector, second_projector=None)
 
 

@@ -164,6 +164,9 @@ def test_the_projector_goes_out_sideways_and_aims_at_the_stand_off() -> None:
     assert rig.projector.aims_at_m == (0.0, 0.0, RIG.stand_off_m)
     assert with_baseline(RIG, RIG.baseline_m) == RIG, "the paper's own baseline gives the paper's rig"
     assert replace(rig.projector, position_m=RIG.projector.position_m) == RIG.projector
+    as_robots = {"aims_at_m": (2.5, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}  # axes: x ahead, z up
+    turned = replace(RIG, camera=replace(RIG.camera, **as_robots), projector=replace(RIG.projector, **as_robots))
+    assert with_baseline(turned, 1.25) == rig
 
 
 @pytest.mark.parametrize("azimuth", [0, 70])
