@@ -195,6 +195,9 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
     table: number -> name. The names "face_labels" and "vertex_labels" of a file say whose labels it holds. Raises
     BadMesh, naming the file, for one that cannot be read, or labels that do not fit the mesh.
     """
+    if content.nodes > 1:
+        rule = "a file of labels goes with a mesh of one node, as nothing says in which order several count"
+        raise BadMesh(f"{path}: {rule}, found {content.nodes}: join them, or let names of nodes be the labels")
     said = {"faces": "face_labels", "vertices": "vertex_labels"}
     of = next((of for of, name in said.items() if name in path.name.lower()), "")
     what = f"cannot read the labels {path}"

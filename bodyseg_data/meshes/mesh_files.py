@@ -73,7 +73,8 @@ class MeshContent:
 
     vertices: float64 [V, 3]; faces: int32 [F, 3], in the file's order, units and axes. polygon: int64 [F], of which of
     the file's P polygons each triangle is a part. of_vertices, of_polygons: numbers by their name in the file, in lower
-    case, [V] or [P]. names: by kind, "groups", "objects", "materials" or "nodes".
+    case, [V] or [P]. names: by kind, "groups", "objects", "materials" or "nodes". nodes: number of those of a glTF
+    file that it is joined of, in an order that the file does not give.
     """
 
     vertices: NDArray[np.float64]
@@ -82,6 +83,7 @@ class MeshContent:
     of_vertices: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     of_polygons: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     names: Mapping[str, FaceNames] = field(default_factory=dict)
+    nodes: int = 1
 
 
 @dataclass

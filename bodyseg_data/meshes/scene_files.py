@@ -72,7 +72,8 @@ def mesh_content(path: Path) -> MeshContent:
                 skin = skins.get(number)
                 placed = mesh.vertices @ pose[:3, :3].T + pose[:3, 3] if skin is None else skin.posed(mesh, scene.graph)
                 parts.append((names.get(number, ""), placed, mesh))
-        return _joined(parts, path)
+        nodes = {node.split("_")[0] for node in scene.graph.nodes_geometry} & names.keys()
+        return _joined(parts, path, len(nodes))
 
 
 class _Skin(NamedTuple):
@@ -141,8 +142,8 @@ def _skin(tree: dict[str, Any], skin: dict[str, Any], beside: dict[str, bytes]) 
     return _Skin(joints, by_column.transpose(0, 2, 1))
 
 
-def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> MeshContent:
-    """One mesh of the parts of a scene: node, vertices as placed [V, 3] and mesh of each."""
+def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path, nodes: int) -> MeshContent:
+    """One mesh of a scene's parts: node, vertices as placed [V, 3] and mesh of each. nodes: as of `MeshContent`."""
     if not parts:
         raise BadMesh(f"{path}: a mesh needs vertices and faces, found none")
     starts = np.cumsum([0, *(len(placed) for _, placed, _ in parts)])
@@ -156,7 +157,7 @@ def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> Me
     materials = [getattr(getattr(mesh.visual, "material", None), "name", None) or "" for _, _, mesh in parts]
     named = {"nodes": [node for node, _, _ in parts], "materials": materials}
     names = {kind: face_names(each, sizes) for kind, each in named.items() if any(each)}
-    return MeshContent(vertices, faces.astype(np.int32), np.arange(len(faces)), numbers, names=names)
+    return MeshContent(vertices, faces.astype(np.int32), np.arange(len(faces)), numbers, names=names, nodes=nodes)
 
 
 def _colours(visual: Any) -> Any:

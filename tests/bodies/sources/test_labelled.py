@@ -252,6 +252,19 @@ def test_a_node_of_two_materials_is_one_name(tmp_path: Path) -> None:
         assert [np.count_nonzero((corners[:, 0] == names.index("base")) & upper), np.count_nonzero(~upper)] == [12, 12]
 
 
+def test_files_of_labels_go_with_gltf_of_one_node(tmp_path: Path) -> None:
+    """trimesh has the last node first."""
+    nodes = [{"mesh": 0}, {"mesh": 0, "translation": [0, 2, 0]}]
+    write(tmp_path / "a.labels.json", ["lower"] * 6 + ["upper"] * 6)
+    write(tmp_path / "a.gltf", gltf(nodes))
+    assert "goes with a mesh of one node, as nothing says in which order several count, found 2:" in reason(tmp_path)
+    halves = [{"attributes": {"POSITION": 0}, "indices": at} for at in (1, 2)]
+    write(tmp_path / "a.gltf", gltf(nodes[:1], meshes=[{"primitives": halves}]))
+    built, corners, _ = scene(tmp_path)
+    assert np.allclose(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
+    assert corners[:, 0].tolist() == [0] * 6 + [1] * 6
+
+
 def binary(tree: dict[str, Any], in_text: bool = False) -> bytes:
     """A glTF file in one piece, whose buffer is a chunk of its own or stays in the text."""
     data = b"" if in_text else base64.b64decode(tree["buffers"][0].pop("uri").partition(",")[2])
