@@ -17,7 +17,7 @@ from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation import CarriedLabels, carried_labels
 from bodyseg_model.segmentation.carried_labels import BodyPixels, Carrying, CellLens, Cells, nearest_first, part_shifts
-from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, nearest
+from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, cells_met, nearest
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 FINE = Camera(480, 640, 800.0, (320.0, 240.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -355,6 +355,26 @@ def test_cells_of_a_slanted_board_have_its_normal_and_their_neighbours() -> None
     np.testing.assert_allclose(
         cells.normals[inside], np.tile(slant / np.linalg.norm(slant), (inside.sum(), 1)), atol=0.02
     )
+
+
+def test_a_place_meets_the_cell_that_it_projects_into_or_none() -> None:
+    """None beside the image, off the surface by more than the gate, or behind the camera."""
+    cells, lens = cells_of(CarriedLabels(), np.full((120, 160), 2.0, np.float32))
+    row, column = np.divmod(np.arange(len(cells.points)), lens.across)
+
+    def met(places: NDArray[np.float32]) -> NDArray[np.int64]:
+        return cells_met(places, cells, lens, np.float32(0.05))
+
+    assert met(cells.points).tolist() == list(range(lens.across * lens.down))
+    cell_m = np.float32(lens.side * 2.0 / LENS.focal_px)
+    for axis, at, last in ((0, column, lens.across - 1), (1, row, lens.down - 1)):
+        for way in (-1, 1):
+            moved = cells.points + way * cell_m * np.eye(3, dtype=np.float32)[axis]
+            found, edge = met(moved), at == (0 if way < 0 else last)
+            assert (found[edge] == -1).all()
+            assert (found[~edge] == np.flatnonzero(~edge) + way * (1, lens.across)[axis]).all()
+    for factor in (1.03, 0.97, 0.04, -1.0):
+        assert (met(cells.points * np.float32(factor)) == -1).all()
 
 
 @pytest.mark.parametrize("x_m", [0.06, 0.3])  # the farther one is sought from the shift of its middle
