@@ -82,7 +82,6 @@ class OpenVino(Runtime):
     precisions: ClassVar[tuple[Precision, ...]] = ("float32", "bfloat16")
 
     def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
-        library = self.loaded()
         settings = {
             "INFERENCE_NUM_THREADS": threads,
             "INFERENCE_PRECISION_HINT": "bf16" if precision == "bfloat16" else "f32",
@@ -91,7 +90,7 @@ class OpenVino(Runtime):
         }
 
         def compiled() -> Any:
-            core = library.Core()
+            core = self.loaded().Core()
             return core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
 
         # In a thread that ends: OpenVINO 2026.4 gives the thread that compiles a stack for signals, and takes its
