@@ -138,7 +138,8 @@ def _scores_of(
 ) -> torch.Tensor:
     """Compute scores, float32. Raises BadConfig for another shape than `Network` promises: loops check no length."""
     scores = compute(range_m).float()
-    wanted = [len(range_m), network.classes + places, *(-(-side // network.output_stride) for side in range_m.shape[2:])]
+    sides = (-(-side // network.output_stride) for side in range_m.shape[2:])
+    wanted = [len(range_m), network.classes + places, *sides]
     if list(scores.shape) != wanted:
         raise BadConfig(f"{type(network).__name__} must give scores {wanted}, found {list(scores.shape)}")
     return scores
