@@ -24,17 +24,7 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
-from bodyseg_data.core import (
-    BadConfig,
-    BodysegError,
-    Checked,
-    Draws,
-    bounded,
-    check_class,
-    check_seed,
-    reported,
-    signals_held,
-)
+from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, check_class, reported, signals_held
 from bodyseg_data.files import claimed, last_name
 from bodyseg_data.labels import PARTS33, TEMPLATE, UNLABELLED
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
@@ -108,7 +98,6 @@ def train(
     """
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
-    seed = check_seed(seed)
     check_class("recipe", recipe, Recipe, NoneType)
     check_class("validation", validation, Validation, NoneType)
     check_class("run_options", run_options, RunOptions, NoneType)

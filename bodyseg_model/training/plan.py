@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, check_seed, reported
 from bodyseg_data.files import entries_of, make_folder, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet, first_difference
@@ -51,7 +51,7 @@ def training_plan(
         "network": name,
         "settings": network.settings,
         "variant": images.variant,
-        "seed": seed,
+        "seed": check_seed(seed),
         "recipe": recipe.to_json(),
         "rig": first.manifest.rig.to_json(),
         "sensor": {"name": sensor["name"], "artifacts": sensor["artifacts"]},
