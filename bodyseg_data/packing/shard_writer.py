@@ -11,6 +11,7 @@ import contextlib
 import itertools
 import json
 import shutil
+import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -129,6 +130,7 @@ class ShardWriter:
         self._open: dict[Split, TarWriter] = {}
         self._waiting: deque[tuple[str, Callable[[], Encoded]]] = deque()
         self._failed: BaseException | None = None
+        self._one_thread = threading.Lock()
 
     def __enter__(self) -> ShardWriter:
         description = self._described()
@@ -169,7 +171,7 @@ class ShardWriter:
     ) -> bool:
         """Write one scene; False if a shard that an earlier run finished holds it already.
 
-        Arrays are of NumPy or torch; the caller may use them again once this returns.
+        Arrays are of NumPy or torch; the caller may use them again once this returns. Several threads may write.
         key: unique in the set, 1 to 80 letters, digits, "_", "+" and "-".
         range_m: floats [H, W], metres along the camera's axis, 0 where nothing was measured.
         labels: whole numbers [H, W], classes of the set, 254 on surfaces of none, 255 where nothing was measured.
@@ -186,18 +188,20 @@ class ShardWriter:
 
         Raises BadSample, naming the key, for what breaks a rule: the scene is then not written, and the writer goes on.
         """
-        if not self._is_new(key):
-            return False
         images = range_m, labels, projector_range_m, facing, normals
         scene = Render(key, *images, split, fields or {}, planes or {}, rig, projector)
-        layout = self._layout or self._learned(scene)
-        taken = layout.taken(scene)
-        if self._complete:
-            raise BadConfig(f"{key}: {self._out} holds a finished set without it: choose another folder, or delete it")
-        if self._layout is None:
-            self._learn(layout)
-        self._seen.add(key)
-        self._enqueue(key, _encoded, layout, taken)
+        with self._one_thread:
+            if not self._is_new(key):
+                return False
+            layout = self._layout or self._learned(scene)
+            taken = layout.taken(scene)
+            if self._complete:
+                found = f"{self._out} holds a finished set without it"
+                raise BadConfig(f"{key}: {found}: choose another folder, or delete it")
+            if self._layout is None:
+                self._learn(layout)
+            self._seen.add(key)
+            self._enqueue(key, _encoded, layout, taken)
         return True
 
     def write_all(self, scenes: Mapping[str, Any], function: Callable[[Any], Mapping[str, Any]]) -> None:

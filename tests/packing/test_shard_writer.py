@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import re
+import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -334,6 +335,25 @@ def test_hidden_files_of_others_stay_and_those_of_a_killed_writer_go(tmp_path: P
     held = files(write(tmp_path))
     assert {name: held.pop(name) for name in others} == others
     assert held.keys() == {"manifest.json", "test-00000.tar", "train-00000.tar"}
+
+
+def test_threads_that_share_a_writer_write_whole_sets(tmp_path: Path) -> None:
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        with (
+            ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES, shard_samples=3, workers=0) as writer,
+            ThreadPoolExecutor(4) as threads,
+        ):
+            assert all(threads.map(lambda number: writer.write(**scene(number)), range(80)))
+    finally:
+        sys.setswitchinterval(interval)
+    images = RangeImages(tmp_path / "set", "none")
+    assert sorted(images.keys) == [scene(number)["key"] for number in range(80)]
+    for index, key in enumerate(images.keys):
+        given, found = scene(int(key[-3:])), images.clean(index)
+        np.testing.assert_array_equal(found.labels == 1, given["labels"] == 1)
+        assert (found.info.robot, found.info.split) == (given["fields"]["robot"], given["split"])
 
 
 def test_a_finished_set_stays_and_a_damaged_shard_is_written_again(tmp_path: Path) -> None:
