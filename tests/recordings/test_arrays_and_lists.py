@@ -136,12 +136,15 @@ def test_a_list_with_times_gives_order_and_unit(tmp_path: Path) -> None:
         ("nan depth/1.25.png", "a line must hold a time"),
         ("2147483648 depth/1.25.png", "a line must hold a time, seconds, and"),
         ("depth/1.25.png", "a line must hold a time"),
-        ("1.25 depth/no.png", "No such file"),
         ("# nothing", "must name at least one, found none"),
     ],
 )
 def test_lists_of_frames_are_checked(tmp_path: Path, lines: str, message: str) -> None:
     assert message in refusal(tum(tmp_path / "a", lines))
+
+
+def test_a_listed_frame_that_is_not_there_tells_so_when_it_is_read(tmp_path: Path) -> None:
+    assert "No such file" in broken(tum(tmp_path / "a", "1.25 depth/1.25.png\n1.5 depth/no.png"), 1)
 
 
 def test_a_list_that_is_no_text_is_refused(tmp_path: Path) -> None:
