@@ -19,8 +19,7 @@ from bodyseg_data.machine import use_compiled
 from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.networks.network import Network, check_range_images
 
-_FARTHEST_M: Final = 100.0  # no range camera sees its nearest surface there
-_ROWS: Final = 64  # of an image, of which some show a surface if any do
+_FARTHEST_M: Final = 656.0  # which no steps of a rig reach
 
 
 class Prediction(NamedTuple):
@@ -123,8 +122,7 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
         range_m = range_m.float()  # layers of float32 refuse float16
     if range_m.device.type == "cpu":
         return _predict_on_processor(network, range_m, scores)
-    least, most = torch.stack(range_m.aminmax()).tolist()
-    _check_metres(least, most, range_m[:, 0, :: range_m.shape[2] // _ROWS + 1].float().cpu().numpy())
+    _check_metres(*torch.stack(range_m.aminmax()).tolist(), range_m)
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
@@ -145,12 +143,12 @@ def _scores_of(
     return scores
 
 
-def _check_metres(least: float, most: float, some: NDArray[np.float32]) -> None:
-    """least, most: of all ranges. some: enough of them to tell steps and millimetres, in which none is near."""
+def _check_metres(least: float, most: float, range_m: torch.Tensor) -> None:
+    """Raise BadConfig for ranges that are none, or in steps or millimetres: all of them far. least, most: of all."""
     if not (least >= 0 and most < np.inf):  # also for NaN; one such pixel would change all labels
         raise BadConfig(f"range images must be finite, and 0 where nothing was measured, found {least:g} to {most:g}")
-    nearest = np.min(some, initial=np.inf, where=some > 0)
-    if _FARTHEST_M <= nearest < most:  # but for one value, as of a sky
+    nearest = float(range_m[range_m > 0].min()) if most > _FARTHEST_M else most
+    if _FARTHEST_M < nearest < most:  # not for one value, as of a sky
         raise BadConfig(f"range images must be in metres, found nothing nearer than {nearest:.0f}")
 
 
@@ -162,7 +160,7 @@ def _predict_on_processor(
     threads need.
     """
     metres = np.ascontiguousarray(range_m[:, 0].float().numpy())
-    _check_metres(float(metres.min()), float(metres.max()), metres[:, :: metres.shape[1] // _ROWS + 1])
+    _check_metres(float(metres.min()), float(metres.max()), range_m)
     labels, confidence = np.full(metres.shape, BACKGROUND, np.uint8), np.zeros(metres.shape, np.float32)
     found, measured = Prediction(torch.from_numpy(labels), torch.from_numpy(confidence)), metres > 0
     if not measured.any():

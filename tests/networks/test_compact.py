@@ -180,9 +180,13 @@ def test_pixels_as_drivers_write_them_where_nothing_was_measured_are_refused(los
 def test_ranges_in_steps_or_millimetres_are_refused(unit: float) -> None:
     with pytest.raises(BadConfig, match="^range images must be in metres, found nothing nearer than "):
         predict(network(), figure(8, 8) / unit)
-    sky = torch.zeros(1, 1, 9, 9)
-    sky[..., :4, :] = 1000
-    assert (predict(network(), sky).labels[0, :4] < 255).all()
+    sky, hills = torch.zeros(2, 1, 1, 140, 9)
+    sky[..., :70, :] = 1000
+    hills[..., :70, :] = torch.linspace(100, 600, 70)[:, None]
+    far = sky * torch.linspace(1, 2, 140)[:, None]
+    far[..., 1, 4] = 2  # someone is nearer
+    for image in (sky, hills, far):
+        assert (predict(network(), image).labels[0, :70] < 255).all()
 
 
 def test_a_network_sees_whole_images_whatever_else_is_in_the_batch() -> None:
