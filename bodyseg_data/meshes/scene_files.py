@@ -87,6 +87,7 @@ class _Skin(NamedTuple):
         bones, given = np.stack([graph[joint][0] for joint in self.joints]) @ self.inverse, mesh.vertex_attributes
         sets = range(sum(name.startswith(_JOINTS) for name in given))
         joints, weights = (np.hstack([given[f"{name}{at}"] for at in sets]) for name in (_JOINTS, _WEIGHTS))
+        weights[~weights.any(axis=1), 0] = 1  # as other readers take a vertex that follows no joint
         weights = weights / weights.sum(axis=1, keepdims=True)  # which may be whole numbers
         placed = np.zeros(mesh.vertices.shape)
         for joint, weight in zip(joints.T, weights.T, strict=True):
