@@ -122,7 +122,8 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
         range_m = range_m.float()  # layers of float32 refuse float16
     if range_m.device.type == "cpu":
         return _predict_on_processor(network, range_m, scores)
-    _check_metres(*torch.stack(range_m.aminmax()).tolist(), range_m)
+    least, most = torch.stack(range_m.aminmax()).tolist()
+    _check_metres(least, most, range_m)
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
