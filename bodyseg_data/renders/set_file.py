@@ -35,7 +35,7 @@ TABLES: Final = ("samples.jsonl", "samples.csv")
 Along = Literal["axis", "ray"]
 
 _FILES: Final = TomlFiles("set", Path(), SET_FORMAT)
-_NUMBERED: Final = re.compile("[+-]?0[0-9]")  # a name, as of subject 007
+_NUMBERED: Final = re.compile("[+-]?0[0-9]+")  # a name, as of subject 007
 _COLOUR: Final = re.compile(r"#[0-9a-fA-F]{6}")
 _SMALL: Final = 1 << 16
 _BORDER: Final = 0.05  # share of pixels of unknown colours up to which they are taken for blended borders
@@ -274,7 +274,7 @@ def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _typed(column: Sequence[str]) -> Sequence[Value | None]:
-    named = any("_" in word or _NUMBERED.match(word) for word in column)  # int reads 1_1 as 11, and 007 as 7
+    named = any("_" in word or _NUMBERED.fullmatch(word) for word in column)  # int reads 1_1 as 11, and 007 as 7
     numbers = () if named else (int, float)
     for read in (*numbers, lambda word: {"true": True, "false": False}[word.lower()], str):
         with contextlib.suppress(ValueError, KeyError):

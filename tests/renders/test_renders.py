@@ -230,11 +230,12 @@ def test_a_column_of_csv_with_underscores_or_leading_zeros_is_text(tmp_path: Pat
     (folder / "samples.jsonl").unlink()
     subjects = ["1_1", "11", "2_0", "1_1"]  # Python reads the first as the second
     robots = ["007", "7", "-01", "0"]
-    lines = ["key,subject,robot,take", *(f"scene-00{n},{subjects[n]},{robots[n]},{n}" for n in range(4))]
+    rows = (f"scene-00{n},{subjects[n]},{robots[n]},{n},0{n}.5" for n in range(4))
+    lines = ["key,subject,robot,take,time_s", *rows]
     (folder / "samples.csv").write_text("\n".join(lines) + "\n")
     table = packed(folder).table()
     assert (table["subject"].tolist(), table["robot"].tolist()) == (subjects, robots)
-    assert table["take"].tolist() == [0, 1, 2, 3]
+    assert (table["take"].tolist(), table["time_s"].tolist()) == ([0, 1, 2, 3], [0.5, 1.5, 2.5, 3.5])
 
 
 def test_names_of_two_sides_are_mirror_images(tmp_path: Path) -> None:
