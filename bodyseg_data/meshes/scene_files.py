@@ -64,16 +64,16 @@ def mesh_content(path: Path) -> MeshContent:
         data, names, skins = (data, {}, {}) if kind == "stl" else _for_trimesh(data, beside, path)
         scene = trimesh.load(BytesIO(data), kind, beside, force="scene", process=False)
         parts = []
-        for node in scene.graph.nodes_geometry:
+        # trimesh divides a mesh of several primitives into nodes "NUMBER_" and letters, and gives the last node first.
+        numbered = [(node.split("_")[0], node) for node in scene.graph.nodes_geometry]
+        for number, node in sorted(numbered, key=lambda each: int(each[0]) if each[0] in names else 0):
             pose, geometry = scene.graph[node]
             mesh = scene.geometry[geometry]
             if len(getattr(mesh, "faces", ())):
-                number = node.split("_")[0]  # trimesh divides a mesh of several primitives into "NUMBER_" and letters
                 skin = skins.get(number)
                 placed = mesh.vertices @ pose[:3, :3].T + pose[:3, 3] if skin is None else skin.posed(mesh, scene.graph)
                 parts.append((names.get(number, ""), placed, mesh))
-        nodes = {node.split("_")[0] for node in scene.graph.nodes_geometry} & names.keys()
-        return _joined(parts, path, len(nodes))
+        return _joined(parts, path, len({number for number, _ in numbered} & names.keys()))
 
 
 class _Skin(NamedTuple):

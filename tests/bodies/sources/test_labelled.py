@@ -265,6 +265,16 @@ def test_files_of_labels_go_with_gltf_of_one_node(tmp_path: Path) -> None:
     assert corners[:, 0].tolist() == [0] * 6 + [1] * 6
 
 
+def test_nodes_of_gltf_are_classes_in_their_order(tmp_path: Path) -> None:
+    names = ["wall", "arm", *(f"thing {number}" for number in range(12))]
+    nodes = [{"name": name, "mesh": 0, "translation": [0, 2 * at, 0]} for at, name in enumerate(names)]
+    write(tmp_path / "a.gltf", gltf(nodes))
+    built, corners, found = scene(tmp_path)
+    assert list(found) == names
+    at = built.mesh.vertices[built.mesh.faces][:, :, 1].min(axis=1) // 2
+    np.testing.assert_array_equal(corners[:, 0], at)
+
+
 def binary(tree: dict[str, Any], in_text: bool = False) -> bytes:
     """A glTF file in one piece, whose buffer is a chunk of its own or stays in the text."""
     data = b"" if in_text else base64.b64decode(tree["buffers"][0].pop("uri").partition(",")[2])
