@@ -179,6 +179,8 @@ def export_trained(trained: Trained) -> OnnxModel:
 
 def write_onnx(path: Path | str, trained: Trained | OnnxModel) -> int:
     """Write a network with its card as an ONNX file, whole or not at all; returns its bytes. Raises BadConfig."""
+    if Path(path).suffix != SUFFIX:  # `load_network` tells the kind of a file by it
+        raise BadConfig(f"the file must end in {SUFFIX}, found {path}")
     model = trained if isinstance(trained, OnnxModel) else export_trained(trained)
     onnx = import_onnx()
     graph = onnx.ModelProto()

@@ -455,6 +455,8 @@ def test_a_file_is_what_was_written(tmp_path: Path) -> None:
     read = read_onnx(tmp_path / "toy.onnx")
     assert read.facts == model.facts and read.card == {"seed": 4}
     assert [*map(np.sum, ask(read, frames()))] == [*map(np.sum, ask(model, frames()))]
+    with pytest.raises(BadConfig, match=r"the file must end in \.onnx, found .*toy$"):
+        write_onnx(tmp_path / "toy", model)
 
 
 def graph_of(*nodes: Any, inputs: Any = (), opset: int = 18, facts: Any = None) -> bytes:
