@@ -29,7 +29,7 @@ Kind = Literal["occlusion", "noise", "missing_data"]
 that are lost. Every artifact is of one kind, and variants name kinds."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RangeImage:
     """A sample as a sensor would deliver it.
 

@@ -90,7 +90,7 @@ class BodyRef:
     split: Split
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
     """A body ready to be labelled, or a scene that brings its labels (`SceneMesh`).
 

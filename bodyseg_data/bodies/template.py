@@ -29,7 +29,7 @@ _ABOVE_M: Final = 1e-4  # above the surface, where rays begin
 _NECK_M: Final = 1.5  # height above which only the head is: lower, as deep in an armpit, skin may be unseen, too
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Template:
     """Anny's surface at rest, P points of it, fewer than 65 535 and 11 mm apart, and what is known of each.
 

@@ -37,7 +37,7 @@ Box = tuple[int, int, int, int]
 """First row, end of the rows, first column, end of the columns."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CameraImage(RangeImage):
     """A range image with artifacts, and the pinhole camera that took it. Make altered ones by `dataclasses.replace`.
 

@@ -95,7 +95,7 @@ def components(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]
     return component
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """The surface of a body. Both arrays are copied and read-only.
 
@@ -201,7 +201,7 @@ class Mesh:
         return np.stack([1 - v - w, v, w], axis=1)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SceneMesh(Mesh):
     """Surfaces of a scene, in the frame of bodies, with their labels. They need be neither closed nor of one piece, and
     whichever side of a triangle is seen counts as its outside.

@@ -183,7 +183,7 @@ class Occupancy:
     texels: NDArray[np.int32] | None
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sample:
     """A clean scene before one camera.
 

@@ -44,7 +44,7 @@ _PERSON: Final = 0.65  # least mean confidence in a person; the network that shi
 Item = TypeVar("Item")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LabelledFrame(Segmentation):
     """A `Segmentation` of one frame of a recording or stream, with the facts of that frame.
 

@@ -41,7 +41,7 @@ def least_confidence_of_people(card: Mapping[str, Any]) -> float:
     return float(least)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LabelledBody:
     """One body of a frame: its pixels, int64 [N], row * columns + column, ascending, and their confidence, float32 [N].
 
@@ -66,7 +66,7 @@ class LabelledBody:
         return float(self.confidence.mean(dtype=np.float64))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segmentation:
     """Answer to a frame: its labels and bodies, from which methods make points, parts and joints of people.
 

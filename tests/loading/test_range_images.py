@@ -240,6 +240,14 @@ def test_the_lines_of_the_readme_run_and_differ_by_epoch(capsys: pytest.CaptureF
     assert seen[0] != seen[1]
 
 
+def test_images_and_samples_are_equal_to_themselves_alone(small_set: Path) -> None:
+    """And may be keys: by their arrays they could be neither."""
+    images = RangeImages(small_set, "all", "train")
+    for get in (images.image, images.clean):
+        one, other = get(0), get(0)
+        assert one == one and one != other and len({one, other}) == 2
+
+
 def test_images_survive_pickling(small_set: Path) -> None:
     images = RangeImages(small_set, "all", sensor=load_sensor_model().with_artifacts(MissingData(rates=(0.5,))))
     again = pickle.loads(pickle.dumps(images))
