@@ -74,7 +74,7 @@ class MeshContent:
     vertices: float64 [V, 3]; faces: int32 [F, 3], in the file's order, units and axes. polygon: int64 [F], of which of
     the file's P polygons each triangle is a part. of_vertices, of_polygons: numbers by their name in the file, in lower
     case, [V] or [P]. names: by kind, "groups", "objects", "materials" or "nodes". nodes: number of those of a glTF
-    file that it is joined of, in an order that the file does not give.
+    file that it is joined of, in the file's order, which a file of labels need not follow.
     """
 
     vertices: NDArray[np.float64]
@@ -355,10 +355,10 @@ def read_mesh_content(path: Path) -> MeshContent:
         parsed = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
         vertices, faces = np.array(parsed.vertices, np.float64).reshape(-1, 3), _triangles(parsed.polygons)
     check_arrays(str(path), vertices, faces, check_unused=False)
-    if len(faces) > len(parsed.polygons):
-        faces = _unfolded(vertices, faces, parsed.of_triangles())
-    names = {kind: parsed.named(kind) for kind in parsed.names}
     of_triangles = parsed.of_triangles()
+    if len(faces) > len(parsed.polygons):
+        faces = _unfolded(vertices, faces, of_triangles)
+    names = {kind: parsed.named(kind) for kind in parsed.names}
     return MeshContent(vertices, faces.astype(np.int32), of_triangles, parsed.of_vertices, parsed.of_polygons, names)
 
 

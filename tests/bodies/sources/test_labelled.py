@@ -253,7 +253,7 @@ def test_a_node_of_two_materials_is_one_name(tmp_path: Path) -> None:
 
 
 def test_files_of_labels_go_with_gltf_of_one_node(tmp_path: Path) -> None:
-    """trimesh has the last node first."""
+    """Who wrote them may have joined several in another order: trimesh has the last node first."""
     nodes = [{"mesh": 0}, {"mesh": 0, "translation": [0, 2, 0]}]
     write(tmp_path / "a.labels.json", ["lower"] * 6 + ["upper"] * 6)
     write(tmp_path / "a.gltf", gltf(nodes))
