@@ -131,9 +131,13 @@ def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
 
 
 def make_folder(path: Path) -> list[Path]:
-    """Make a folder and those above it; returns those that it made, inner ones first. Raises BadConfig, naming it."""
+    """Make a folder and those above it; returns those that it made, inner ones first. Raises BadConfig, naming it, also
+    for an address, which as a path would be a folder "s3:" here.
+    """
     with reported(f"cannot make the folder {path}", BadConfig, OSError):
         made = [each for each in (path, *path.parents) if not each.exists()]
+        if made and made[-1].name.endswith(":"):
+            raise BadConfig(f"a folder of this machine is needed, found the address {path}")
         path.mkdir(parents=True, exist_ok=True)
     return made
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, check_int, reported, silent
-from bodyseg_data.files import make_folder
 from bodyseg_data.packing.options import PACKING_VERSION
 from bodyseg_data.packing.scene_layout import fields_of
 from bodyseg_data.packing.shard_writer import part_name
@@ -59,7 +58,6 @@ def join(
     digests = sorted(part.digest for part in parts)
     description = {"version": PACKING_VERSION, "parts": digests, "shard_samples": shard_samples}
     total = sum(len(places) for _, places in shards.values())
-    make_folder(out.parent)
     with writing_into(out), claimed(out, description, digest_of(description)) as state:
         records = finished_shards(out, state, list(shards), joined.fields)
         done = sum(map(len, records.values()))

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 from bodyseg_data.core import BadConfig, BadSample, BodysegError, ProgressCallback, check_choice, check_int, silent
-from bodyseg_data.files import make_folder, write_atomically
+from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import Classes, LabelClass, classes_of
 from bodyseg_data.packing.options import PACKING_VERSION
 from bodyseg_data.packing.scene_layout import SceneLayout, facing_of, fields_of, learned_fields, learned_planes
@@ -98,7 +98,7 @@ class ShardWriter:
         check_choice("projector", projector, (*get_args(ProjectorKind), None))
         if not isinstance(source, str) or not source or not source.isprintable():
             raise BadConfig(f"source must be a name that can be printed, found {source!r}")
-        if not isinstance(out, str | Path) or not str(out).strip() or "://" in str(out):
+        if not isinstance(out, str | Path) or not str(out).strip():
             raise BadConfig(f"out must be the path of a folder of this machine, found {out!r}")
         for name, kinds in (("planes", planes), ("fields", fields)):
             if not isinstance(kinds, Mapping | None):
@@ -135,7 +135,6 @@ class ShardWriter:
     def __enter__(self) -> ShardWriter:
         description = self._described()
         self._digest = digest_of(description)
-        make_folder(self._out.parent)
         with writing_into(self._out), contextlib.ExitStack() as context:
             whole = {**description, "shard_samples": self._shard_samples}
             self._state = context.enter_context(claimed(self._out, whole, self._digest))

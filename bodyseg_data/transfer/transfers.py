@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.core import BadConfig, BadShard
-from bodyseg_data.files import naming, sync, write_atomically
+from bodyseg_data.files import make_folder, naming, sync, write_atomically
 from bodyseg_data.shards import (
     LARGEST_MANIFEST,
     MANIFEST_NAME,
@@ -134,12 +134,12 @@ def sha256_of(store: Store, name: str) -> str:
 class LocalTarget:
     """A local folder, made if it is missing. A file is called `.NAME.part` until it is complete and checked.
 
-    All methods raise OSError. Raises BadConfig for the folder of the source itself.
+    Its methods raise OSError, its constructor BadConfig for a folder that cannot be made, or is the source itself.
     """
 
     def __init__(self, folder: Path, source: Store) -> None:
         self._folder, self._source = folder, source
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         if isinstance(source, LocalFolder) and folder.samefile(source.name):
             raise BadConfig(f"{folder} cannot be copied to itself: choose another place")
         self.store: Store = LocalFolder(folder)

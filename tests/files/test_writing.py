@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from bodyseg_data import ShardWriter
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import claimed, held_part, naming, part_beside, write_atomically, write_result
+from bodyseg_data.files import claimed, held_part, make_folder, naming, part_beside, write_atomically, write_result
 
 
 def test_a_second_writer_does_not_touch_what_the_first_one_writes(tmp_path: Path) -> None:
@@ -95,6 +96,18 @@ def test_a_folder_is_held_by_one(tmp_path: Path) -> None:
     with claimed(folder, "training"):
         (folder / "log.jsonl").touch()
     assert [each.name for each in folder.iterdir()] == ["log.jsonl"]
+
+
+def test_an_address_is_no_folder_to_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    needed = "^a folder of this machine is needed, found the address s3:/bucket"
+    with pytest.raises(BadConfig, match=needed), claimed(Path("s3://bucket/set"), "training"):
+        pass
+    with pytest.raises(BadConfig, match=needed), ShardWriter("s3://bucket/set", rig="kinect_v1", classes=["arm"]):
+        pass
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "s3:").mkdir()
+    make_folder(Path("s3:/bucket"))  # in a folder that is truly called so
 
 
 def test_what_a_killed_process_leaves_holds_nobody_up(tmp_path: Path) -> None:
