@@ -227,6 +227,14 @@ def test_settings_are_those_of_the_network_that_a_training_starts_from(small_set
     assert load_network(tmp_path / "again").network.settings == load_network(tmp_path / "wide").network.settings
 
 
+def test_a_resumed_training_says_that_it_begins_anew(
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command(small_set, tmp_path / "mistyped", "--steps", "1", "--resume")) == 0
+    begins = f"{tmp_path / 'mistyped'} has no checkpoint to resume: the training begins at its first step\n"
+    assert begins in capsys.readouterr().err
+
+
 def test_a_resumed_training_keeps_the_name_of_the_weights_that_it_started_from(
     small_set: Path, tmp_path: Path, earlier: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -236,6 +244,7 @@ def test_a_resumed_training_keeps_the_name_of_the_weights_that_it_started_from(
     assert entry["file"] == "earlier"
     more = ["--steps", "2", "--resume"]
     assert main(command(small_set, out, *more)) == 0
+    assert "no checkpoint" not in capsys.readouterr().err
     assert load_network(out).card["pretrained"] == entry
     another = earlier.rename(tmp_path / "another")
     capsys.readouterr()
