@@ -14,6 +14,7 @@ from bodyseg_data.artifacts import Augmentation
 from bodyseg_data.bodies import open_source
 from bodyseg_data.bodies.sources.paper import ScapeBodies
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BodysegError
+from bodyseg_data.labels import colour_labels
 from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmarks, partition, read_mesh
 from bodyseg_data.meshes.geodesics import nearest_sources
 from bodyseg_data.packing import Packing, check_engine
@@ -141,6 +142,16 @@ CASES: dict[str, Case] = {
         lambda: decode_sample("k", {}),
         BadSample,
         "k: a sample has the members bsi, json or facing.png, json, labels.png, projector.png, range.png, found none",
+    ),
+    "decode surfaces of no class as a class": (
+        lambda: decode_sample("k", {}, unlabelled=True),
+        BadConfig,
+        "unlabelled must be one of 254, 255, found True",
+    ),
+    "draw labels in colours from 0 to 1": (
+        lambda: colour_labels(np.zeros((2, 2), np.uint8), colours=np.ones((33, 3))),
+        BadConfig,
+        "colours must be whole numbers from 0 to 255, found float64",
     ),
     "decode damaged images": (
         lambda: decode_sample("k", {"bsi": b"x", "json": b"{}"}),

@@ -50,7 +50,10 @@ def colour_labels(labels: Bytes, background: tuple[int, int, int] = (24, 26, 32)
     """Draw a label image: uint8 [H, W] -> sRGB uint8 [H, W, 3].
 
     background: colour where a label has none. colours: of all labels from 0 on, uint8 [N, 3]; default: the 33 parts'.
+    Raises BadConfig for colours that are no whole numbers: those from 0 to 1 of other programs would all be black.
     """
+    if (kind := np.asarray(colours).dtype).kind not in "iu":
+        raise BadConfig(f"colours must be whole numbers from 0 to 255, found {kind}")
     table = np.empty((256, 3), np.uint8)
     table[:] = background
     table[: len(colours)] = colours

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, check_choice, reported
-from bodyseg_data.labels import UNLABELLED
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, ImageCodec, OutputArrays
@@ -64,8 +64,9 @@ def decode_sample(
     unlabelled: label for surfaces of no class, 254 as stored or 255. planes: further planes to decode, None for all.
 
     Raises BadSample, naming key and member, for members that are missing, unknown or damaged; with `out`, a damaged
-    description raises when it is asked for.
+    description raises when it is asked for; BadConfig for another `unlabelled`.
     """
+    check_choice("unlabelled", unlabelled, (UNLABELLED, BACKGROUND))
     stored = {name: data for name, data in members.items() if name.startswith(_PLANE)}
     codec = _BY_MEMBERS.get(frozenset(members.keys() - stored.keys()))
     if codec is None:
