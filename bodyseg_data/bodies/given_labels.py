@@ -208,7 +208,8 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
         else:
             given = json.loads(path.read_bytes())
     if isinstance(given, dict):
-        return labels_of_parts(given, content, str(path))
+        with reported("", BadMesh, BadConfig):  # of a name that stands twice
+            return labels_of_parts(read_json(path), content, str(path))
     if isinstance(given, list) and given and all(isinstance(each, str) for each in given):
         place = {name: at for at, name in enumerate(dict.fromkeys(given))}
         table, given = dict(enumerate(place)), [place[name] for name in given]

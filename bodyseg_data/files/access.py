@@ -232,14 +232,25 @@ def refuse_special(path: Path) -> None:
 
 
 def parse_json(data: bytes, where: str) -> dict[str, Any]:
-    """The object in JSON text; `where` names its origin in messages. Raises BadConfig."""
+    """The object in JSON text; `where` names its origin in messages. Raises BadConfig, also for a key that one of its
+    objects holds twice, where the second value would take the place of the first.
+    """
     try:
-        content = json.loads(data)
+        content = json.loads(data, object_pairs_hook=_without_doubles)
     except (ValueError, RecursionError) as error:
         raise BadConfig(f"{where} is not JSON: {web_page(data) or error}") from error
     if not isinstance(content, dict):
         raise BadConfig(f"{where} must hold a JSON object, found {type(content).__name__}")
     return content
+
+
+def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in tree:
+            raise ValueError(f"the key {key!r} stands twice")
+        tree[key] = value
+    return tree
 
 
 def web_page(data: bytes) -> str:

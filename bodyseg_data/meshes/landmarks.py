@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadLandmarks, check_choice, reported
-from bodyseg_data.files import Table
+from bodyseg_data.files import Table, parse_json
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.coincident import separate
@@ -215,9 +215,9 @@ def parse_points(text: str | bytes, source: str) -> PointLandmarks:
 def json_table(text: str | bytes, source: str) -> Table:
     """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
     where = f"landmarks {source}"
-    with reported(f"{where} is not JSON", BadLandmarks, ValueError, RecursionError):
-        tree = json.loads(text)
-    if not isinstance(tree, dict) or tree.pop("format", None) != LANDMARKS_FORMAT:
+    with reported("", BadLandmarks, BadConfig):
+        tree = parse_json(text.encode() if isinstance(text, str) else text, where)
+    if tree.pop("format", None) != LANDMARKS_FORMAT:
         raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
     return Table(tree, where)
 

@@ -54,7 +54,7 @@ TABLE = tree()["landmarks"]
 BROKEN = {
     "no format": (without(tree(), "format"), "'format' must be 'bodyseg landmarks 1'"),
     "other format": (tree(format="bodyseg landmarks 2"), "'format' must be 'bodyseg landmarks 1'"),
-    "a list": ([1, 2], "'format' must be"),
+    "a list": ([1, 2], "must hold a JSON object, found list"),
     "missing key": (without(tree(), "face_count"), "number 'face_count' is missing"),
     "unknown key": (tree(colour="red"), "unknown 'colour'"),
     "topology": (tree(topology=3), "'topology' must be text, found 3"),
@@ -93,7 +93,7 @@ def test_a_broken_set_is_refused_with_its_file_and_landmark(tmp_path: Path, brok
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "not json", "[" * 100_000])
+@pytest.mark.parametrize("text", ["", "{", "not json", "[" * 100_000, '{"x": 1, "x": 2}'])
 def test_text_that_is_not_json_is_refused(text: str) -> None:
     with pytest.raises(BadLandmarks, match="landmarks here is not JSON"):
         parse_landmarks(text, "here")
