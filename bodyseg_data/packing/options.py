@@ -61,8 +61,11 @@ class Packing:
 
     def bodies(self) -> list[BodyRef]:
         """Return the bodies to pack, in the source's order. Raises BadConfig if two have one name, if a name cannot be
-        in keys, if a split is unknown, if none has a pose that fits `poses`, or if they are fewer than `meshes`.
+        in keys, if a split is unknown, if none has a pose that fits `poses`, if they are fewer than `meshes`, or if
+        they have no map of the body.
         """
+        if self.template and not getattr(self.opened(), "on_template", False):
+            raise BadConfig(f"the map of the body needs bodies that are made, found the source {self.source!r}")
         bodies = self.opened().bodies()
         if len({body.mesh for body in bodies}) < len(bodies) or {body.split for body in bodies} - {*SPLITS}:
             raise BadConfig(f"source {self.source!r}: each body has a 'mesh' of its own, and the split train or test")

@@ -152,8 +152,6 @@ def pack(
     forget_sources()
     out = Path(out)
     check_folder(out)
-    if packing.template and not getattr(packing.opened(), "on_template", False):
-        raise BadConfig(f"the map of the body needs bodies that are made, found the source {packing.source!r}")
     bodies = packing.bodies()
     skips = SkipList(on_faults, len(bodies), packing.path)
     try:

@@ -26,7 +26,7 @@ from bodyseg_data.core import BadConfig, BadSample, BadShard
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PARTS33, UNLABELLED, label_map_from_json, load_label_map
 from bodyseg_data.loading import CameraImage, Flip, Transform
 from bodyseg_data.meshes import Mesh, SurfacePiece
-from bodyseg_data.packing import Packing, Sampler
+from bodyseg_data.packing import Packing, Sampler, plan
 from bodyseg_data.packing.writing import STATE_NAME
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.samples import View
@@ -143,6 +143,8 @@ def test_bodies_of_another_topology_have_no_map(tmp_path: Path, pack_figures: Pa
         with pytest.raises(BadConfig, match="needs bodies that are made, found the source 'open'"):
             pack_figures(tmp_path / "set", template=True)
     assert not (tmp_path / "set").exists()
+    with pytest.raises(BadConfig, match="needs bodies that are made, found the source 'folder'"):
+        plan(Packing("folder", path=tmp_path, template=True))
 
 
 @dataclass(frozen=True)
