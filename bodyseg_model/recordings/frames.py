@@ -21,7 +21,7 @@ from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
 from bodyseg_model.recordings.recording import MILLIMETRE, Frame, FrameSource, Pixels, Unopened, check_pixels
 
-_NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
+_NAME: Final = re.compile(r"[\w+()#,:@=-][\w+()#,:@=. -]{0,99}")
 
 _DEPTH_NAME: Final = re.compile(r"(?:^|[^a-z])(depth|range)(?![a-z])")
 _DEPTH_FOLDERS: Final = ("depth", "depth_raw", "range")
@@ -208,7 +208,7 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
         letters = "".join(each for each in name if not unicodedata.category(each).startswith("M"))  # without accents
         if not all(map(_NAME.fullmatch, letters.split("/"))):
             raise BadConfig(
-                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
+                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.()#,:@= and not "
                 f"begin with a dot or space, found {frame.where}"
             )
         if name in first:

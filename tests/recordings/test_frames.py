@@ -132,8 +132,8 @@ def test_a_name_must_do_for_the_results(name: str, tmp_path: Path) -> None:
     assert refusal(tmp_path / name).startswith("a frame's name, which its results get, must be")
 
 
-@pytest.mark.parametrize("name", ["Jose\u0301", "\u092b\u094d\u0930\u0947\u092e"])  # as a Mac writes it; in Devanagari
-def test_letters_may_have_accents_of_their_own(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["Jose\u0301", "\u092b\u094d\u0930\u0947\u092e", "2021-03-04T12:30:55,5 #1@a=b"])
+def test_names_may_have_accents_of_their_own_and_times(name: str, tmp_path: Path) -> None:
     (tmp_path / f"{name}.png").write_bytes(png(RAMP))
     assert [frame.name for frame in find_frames([tmp_path])] == [name]
 
