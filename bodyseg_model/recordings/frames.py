@@ -208,8 +208,8 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
         letters = "".join(each for each in name if not unicodedata.category(each).startswith("M"))  # without accents
         if not all(map(_NAME.fullmatch, letters.split("/"))):
             raise BadConfig(
-                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.()#,:@= and not "
-                f"begin with a dot or space, found {frame.where}"
+                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.()#,:@= and "
+                f"not begin with a dot or space, found {frame.where}"
             )
         if name in first:
             raise BadConfig(f"two frames must not have one name, as their results would: {first[name]}, {frame.where}")
