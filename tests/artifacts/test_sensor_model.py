@@ -114,7 +114,11 @@ def test_artifacts_are_replaced_where_they_stand_and_new_ones_come_last() -> Non
         (7, (), "a sensor's name must be one plain word of at most 40 letters, found 7"),
         ("mine", Noise(), "sensor mine: artifacts must be a tuple of them, found Noise"),
         ("mine", (0.4,), "sensor mine: an artifact must be a dataclass derived from Artifact, found float"),
-        ("mine", (Noise,), "an artifact must be a dataclass derived from Artifact, found a class: call it"),
+        (
+            "mine",
+            (Noise,),
+            "sensor mine: an artifact must be a dataclass derived from Artifact, found a class: call it",
+        ),
         (
             "mine",
             (Noise(), Noise(1.0)),
