@@ -1,7 +1,5 @@
 """`bodyseg shard`: render bodies and pack them into shards."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`bodyseg export`: write a trained network as two small files, weights and card, or as one ONNX file."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

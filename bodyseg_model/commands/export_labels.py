@@ -4,8 +4,6 @@ COCO's as cocodataset.org/#format-data describes them; DensePose's charts as det
 them; LeRobot's v3.0 as the package `lerobot` 0.4 reads it. A new format is a function and an entry of `FORMATS`.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -7,8 +7,6 @@ best class is always among them, and all others together change a confidence by 
 ships, by 4e-5 at most).
 """
 
-from __future__ import annotations
-
 import itertools
 from functools import lru_cache, partial
 from typing import Any, Final

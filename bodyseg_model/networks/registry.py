@@ -1,7 +1,5 @@
 """Networks by name, of those in `names.NETWORKS`, and their predictions."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Labels of a video's frames, steadied by the evidence of earlier frames, without delay."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -9,8 +9,6 @@ a body keeps its original perspective. Ranges are picked from the nearest pixel,
 the wall behind it there is no surface.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

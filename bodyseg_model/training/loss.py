@@ -1,7 +1,5 @@
 """Loss of a training step: cross-entropy over the pixels of the body, or over an even selection of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, NamedTuple, Self
