@@ -61,7 +61,7 @@ def mesh_content(path: Path) -> MeshContent:
     beside = {uri: file_bytes(file, "mesh", LARGEST_BYTES, BadMesh) for uri, file in gltf_buffers(path).items()}
     with BadMesh.named(f"{path} cannot be read by trimesh", passes=BadMesh):  # whatever a damaged file makes it raise
         kind = "stl" if path.suffix.lower() == ".stl" else "gltf"
-        data, names, skins = (data, {}, {}) if kind == "stl" else _for_trimesh(data, beside, path)
+        data, names, skins = (_whole_stl(data, path), {}, {}) if kind == "stl" else _for_trimesh(data, beside, path)
         scene = trimesh.load(BytesIO(data), kind, beside, force="scene", process=False)
         parts = []
         # trimesh divides a mesh of several primitives into nodes "NUMBER_" and letters, and gives the last node first.
@@ -74,6 +74,14 @@ def mesh_content(path: Path) -> MeshContent:
                 placed = mesh.vertices @ pose[:3, :3].T + pose[:3, 3] if skin is None else skin.posed(mesh, scene.graph)
                 parts.append((names.get(number, ""), placed, mesh))
         return _joined(parts, path, len({number for number, _ in numbered} & names.keys()))
+
+
+def _whole_stl(data: bytes, path: Path) -> bytes:
+    """An STL file. Raises BadMesh for one that is cut, of which trimesh reads those solids that are whole."""
+    announced = 84 + 50 * int.from_bytes(data[80:84], "little")
+    if len(data) != announced and b"solid" not in data[5:][-1000:].lower():  # the text of STL ends in "endsolid NAME"
+        raise BadMesh(f"{path}: the file is cut: neither as long as its header announces, nor text up to 'endsolid'")
+    return data
 
 
 class _Skin(NamedTuple):
@@ -104,6 +112,8 @@ def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[byt
     geometry that trimesh would leave out or misplace.
     """
     begin, end = (20, 20 + int.from_bytes(data[12:16], "little")) if data[:4] == b"glTF" else (0, len(data))
+    if begin and len(data) < (announced := int.from_bytes(data[8:12], "little")):
+        raise BadMesh(f"{path}: the header announces {announced} bytes, the file ends after {len(data)}")
     tree = parse_json(data[begin:end], "its text")
     if begin and tree.get("buffers") and tree["buffers"][0].setdefault("uri", "bin") == "bin":
         beside["bin"] = data[end + 8 :]

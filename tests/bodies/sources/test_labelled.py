@@ -21,7 +21,7 @@ from bodyseg_data.bodies.given_labels import labels_of_colours, labels_of_number
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.labels import classes_of
-from bodyseg_data.meshes import MeshContent, cuboid
+from bodyseg_data.meshes import MeshContent, cuboid, mesh_content
 from bodyseg_data.shards import read_manifest
 
 BOX = cuboid((0.6, 1.0, 0.4), (0.0, 0.5, 0.0))
@@ -439,6 +439,25 @@ def test_vertices_of_triangles_and_seams_are_joined_and_keep_their_labels(tmp_pa
     assert len(built.mesh.vertices) == 8
     assert np.array_equal(corners, np.repeat(QUARTERS[:, None], 3, axis=1))
     assert np.array_equal(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
+
+
+def test_a_file_that_is_cut_is_told(tmp_path: Path) -> None:
+    import trimesh
+
+    box = trimesh.Trimesh(BOX.vertices, BOX.faces, process=False)
+    text, binary, gltf = (box.export(file_type=kind) for kind in ("stl_ascii", "stl", "glb"))
+    two = f"{text}\n{text}".encode()  # of which the first solid is whole
+    for name, data, problem in (
+        ("a.stl", two[:-200], "a.stl: the file is cut: neither as long as its header announces, nor text up to"),
+        ("a.stl", binary[:-1], "a.stl: the file is cut: neither as long as its header announces, nor text up to"),
+        ("a.glb", gltf[:-1], f"a.glb: the header announces {len(gltf)} bytes, the file ends after {len(gltf) - 1}"),
+    ):
+        write(tmp_path / name, data)
+        with pytest.raises(BadMesh, match=problem):
+            mesh_content(tmp_path / name)
+    for data in (two, binary):
+        write(tmp_path / "a.stl", data)
+        assert len(mesh_content(tmp_path / "a.stl").faces) in (12, 24)
 
 
 def test_faults_are_one_line(tmp_path: Path) -> None:
