@@ -111,13 +111,11 @@ if TYPE_CHECKING:
         Draws,
         MissingLibrary,
     )
-    from bodyseg_data.shards import Unreachable
-    from bodyseg_data.loading import BadTransform
-    from bodyseg_data.loading import WorkerLost
     from bodyseg_data.drawing import colour_range
     from bodyseg_data.example import example_set
     from bodyseg_data.labels import BACKGROUND, PARTS, LabelClass, LabelMap, colour_labels, load_label_map
     from bodyseg_data.loading import (
+        BadTransform,
         Batch,
         BodyCrop,
         CameraImage,
@@ -129,6 +127,7 @@ if TYPE_CHECKING:
         Remnants,
         Roll,
         Transform,
+        WorkerLost,
         Zoom,
         decoder,
         loader,
@@ -137,7 +136,7 @@ if TYPE_CHECKING:
     from bodyseg_data.packing import FaultyMeshes, OnFaults, Packing, ShardWriter, pack, plan
     from bodyseg_data.rigs import Camera, Distortion, Rig, load_rig
     from bodyseg_data.samples import Sample, ViewGrid
-    from bodyseg_data.shards import ColumnWriter, RetryPolicy, decode_sample
+    from bodyseg_data.shards import ColumnWriter, RetryPolicy, Unreachable, decode_sample
 
     __version__: str
 else:
