@@ -14,17 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core import BadConfig, Draws, bounded
+from bodyseg_data.core import BadConfig, Draws, bounded, uniform
 from bodyseg_data.labels import PART_CLASSES, PARTS
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Window, box_of
-
-
-def units(random: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """The next `count` numbers of a generator, float64 [count], uniform over the multiples of 2**-53 in [0, 1)."""
-    words = np.asarray(random.bit_generator.random_raw(count), np.uint64)
-    return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
-
 
 MOST_PATCHES: Final = 4
 LONGEST: Final = 2.0
@@ -46,7 +39,7 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
         return np.zeros(range_image.shape, np.bool_)
     inside = range_image[box]
     pixels = np.flatnonzero(inside != 0)  # searching booleans is five times faster
-    count, *chances = units(generator, 1 + 3 * MOST_PATCHES)
+    count, *chances = (uniform(generator) for _ in range(1 + 3 * MOST_PATCHES))
     down, along = [], []
     for centre, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
         row, column = divmod(int(pixels[int(centre * len(pixels))]), inside.shape[1])
@@ -70,10 +63,10 @@ def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.ra
     if box is None:
         return lost
     inside = range_image[box] != 0
-    chances = units(generator, 2)
-    stripes = FEWEST_STRIPES + int(chances[0] * (MOST_STRIPES - FEWEST_STRIPES + 1))
+    count, offset = uniform(generator), uniform(generator)
+    stripes = FEWEST_STRIPES + int(count * (MOST_STRIPES - FEWEST_STRIPES + 1))
     rows = np.arange(inside.shape[0])
-    from_middle = np.abs((rows * stripes / inside.shape[0] + chances[1]) % 1 - 0.5)
+    from_middle = np.abs((rows * stripes / inside.shape[0] + offset) % 1 - 0.5)
     order = np.argsort(from_middle, kind="stable")
     pixels = inside.sum(axis=1)[order]
     left = _rounded(share, int(pixels.sum()))
@@ -107,11 +100,11 @@ class Losses(Artifact):
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         generator = draws.generator("losses")
-        which, share = units(generator, 2)
+        which, share = uniform(generator), uniform(generator)
         shapes = (None, *SHAPES.values())
         shape = shapes[int(which * len(shapes))]
         if shape is not None:
-            image.range[shape(scene.sample.range, self.most * float(share), generator)] = 0
+            image.range[shape(scene.sample.range, self.most * share, generator)] = 0
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,6 @@ if TYPE_CHECKING:
         reported,
     )
     from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, silent
-    from bodyseg_data.core.randomness import Draws, check_epoch, check_seed
+    from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, uniform
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -31,6 +31,16 @@ def check_epoch(epoch: int) -> int:
     return check_int("an epoch", epoch, 0)
 
 
+def _fraction(word: int) -> float:
+    """A word of 64 random bits as a multiple of 2**-53, uniform from 0 to below 1."""
+    return (word >> 11) * 2.0**-53
+
+
+def uniform(random: np.random.Generator) -> float:
+    """The next number of a generator, uniform over the multiples of 2**-53 from 0 to below 1: from its raw words."""
+    return _fraction(random.bit_generator.random_raw())
+
+
 @dataclass(frozen=True)
 class Draws:
     """The random numbers of one sample in one epoch. Each purpose has its own, whatever else is drawn.
@@ -52,7 +62,7 @@ class Draws:
 
     def chance(self, purpose: str) -> float:
         """Return one number for a purpose that draws once a sample: a multiple of 2**-53, uniform from 0 to below 1."""
-        return (int.from_bytes(self._digest(purpose)[:8], "little") >> 11) * 2.0**-53
+        return _fraction(int.from_bytes(self._digest(purpose)[:8], "little"))
 
     def stream(self, purpose: str) -> Stream:
         """Return the stream of random numbers of a purpose.

@@ -12,18 +12,11 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import Checked, bounded
+from bodyseg_data.core import Checked, bounded, uniform
 from bodyseg_data.labels import BACKGROUND, NOWHERE, TEMPLATE, looked_up
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
-
-
-def unit(random: np.random.Generator) -> float:
-    """The next number of a generator, uniform over the multiples of 2**-53 from 0 to below 1: from its raw words."""
-    word: int = random.bit_generator.random_raw()
-    return (word >> 11) * 2.0**-53
-
 
 Place = Literal["axis", "body", "anywhere"]
 _FARTHEST: Final = int(FARTHEST_STEPS)
@@ -53,7 +46,7 @@ class Crop(Checked, Transform):
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         if self.at == "anywhere":
             height, width = image.range.shape
-            top, left = _anywhere(unit(random), height - self.rows), _anywhere(unit(random), width - self.columns)
+            top, left = _anywhere(uniform(random), height - self.rows), _anywhere(uniform(random), width - self.columns)
         else:
             x, y = image.centre_px
             if self.at == "body" and (box := image.body_box) is not None:
@@ -120,7 +113,7 @@ class Flip(Checked, Transform):
     share: float = bounded(0.5, 0, 1)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        if unit(random) >= self.share:
+        if uniform(random) >= self.share:
             return image
         planes = {name: plane[:, ::-1] for name, plane in image.planes.items()}
         if image.has_map:
@@ -151,7 +144,7 @@ class Roll(Checked, Transform):
     largest_deg: float = bounded(15.0, 0, 180)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        angle = self.largest_deg * (2 * unit(random) - 1)
+        angle = self.largest_deg * (2 * uniform(random) - 1)
         return turned(image, angle) if angle else image
 
 
@@ -169,7 +162,7 @@ class Zoom(Checked, Transform):
     largest: float = bounded(1.25, 1, 4)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        return magnified(image, self.largest ** (2 * unit(random) - 1))
+        return magnified(image, self.largest ** (2 * uniform(random) - 1))
 
 
 def magnified(image: CameraImage, by: float) -> CameraImage:
@@ -199,12 +192,12 @@ class Remnants(Checked, Transform):
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         box = ends_of(image.range)
-        if unit(random) >= self.share or box is None:
+        if uniform(random) >= self.share or box is None:
             return image
         middle = float(np.median(image.range[image.range > 0]))
         a_metre = image.focal_px / (middle * image.step_m)  # pixels
         reach, bias, width, gap = (
-            low + (high - low) * unit(random)
+            low + (high - low) * uniform(random)
             for low, high in ((0.2, 1.0), (-0.7, 0.9), (0.0, 0.04), (self.nearest_m, self.farthest_m))
         )
         reach *= self.widest_m * a_metre
@@ -225,7 +218,7 @@ class Remnants(Checked, Transform):
         amid = np.logical_and.reduce(_around(body, 1, corners=True))  # pixels lost amid a body show no wall
         left_in &= (away > 0) | ~amid
         down, across = (
-            (np.arange(size) - size / 2) * (_CELL / a_metre / image.step_m) * most * (2 * unit(random) - 1)
+            (np.arange(size) - size / 2) * (_CELL / a_metre / image.step_m) * most * (2 * uniform(random) - 1)
             for size, most in ((rows, 0.2), (columns, 0.5))
         )
         behind = np.maximum(middle + gap / image.step_m + np.add.outer(down, across) - outline, 0.03 / image.step_m)
@@ -285,7 +278,7 @@ def _spread(own: NDArray[np.float64], rings: int) -> tuple[NDArray[np.float64], 
 
 def _smooth(rows: int, columns: int, a_metre: float, random: np.random.Generator) -> NDArray[np.float64]:
     """A random field over cells, [rows, columns], of mean 0 and deviation about 1, smooth over 0.1 to 0.25 m."""
-    wave = (0.1 + 0.15 * unit(random)) * a_metre / _CELL
+    wave = (0.1 + 0.15 * uniform(random)) * a_metre / _CELL
     (row, down), (column, across) = (np.divmod(np.arange(size) / wave, 1) for size in (rows, columns))
     size = int(row[-1]) + 2, int(column[-1]) + 2
     lattice = random.bit_generator.random_raw(size[0] * size[1]).reshape(size) / 2**64 - 0.5

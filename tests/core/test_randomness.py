@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bodyseg_data.artifacts.random_loops import raw_words
-from bodyseg_data.core import BadConfig, Draws, check_seed
+from bodyseg_data.core import BadConfig, Draws, check_seed, uniform
 from bodyseg_data.loading.selection import permutation
 
 
@@ -28,6 +28,8 @@ def test_the_bits_are_pinned() -> None:
     assert noise.pixels("noise", 3, np.uint32).tolist() == [2720071503, 2556194740, 1398818602]
     assert noise.pixels("noise", 5, np.uint16).tolist() == [65359, 41504, 28596, 39004, 18218]
     assert Draws(7, 3, "k").chance("sigma") == 0.901699977694218
+    losses = Draws(2026, 0, "0").generator("losses")
+    assert [uniform(losses), uniform(losses)] == [0.6944945298836965, 0.5809313731580426]
     assert permutation(8, 7, 3).tolist() == [3, 4, 2, 7, 1, 6, 5, 0]
 
 
