@@ -1,4 +1,4 @@
-"""Random numbers: all that is drawn anywhere starts from a stream of this module.
+"""Random numbers: all that is drawn, but who is in rooms, starts from a stream of this module.
 
 A draw belongs to (seed, epoch, sample key, purpose) and to nothing else: not to a position in the stream, a worker, a
 rank or a shard. So a sample gets the same bits however it is read, and an artifact draws the same in every variant.

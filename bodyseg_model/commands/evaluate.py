@@ -94,9 +94,7 @@ def run(options: Options) -> int:
     )
     written = [options.json]
     if options.figures is not None:
-        from bodyseg_model.evaluation import draw_figures
-
-        written += draw_figures(scores, options.figures)
+        written += evaluation.draw_figures(scores, options.figures)
         drawn = None if picture is None else picture.draw()
         if drawn is not None:
             written.append(options.figures / "samples.png")

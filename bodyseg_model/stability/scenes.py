@@ -118,7 +118,7 @@ _POSED: Final = ("desk", "kick", "fist")
 
 _DESK_M: Final = 1.0
 _BORDERS: Final = {1: "Substernale", 2: "Rt. Axilla, Post."}
-_AHEAD_DEG: Final = 85, 3  # middle, and divisor: 18 azimuths over half a circle become 18 from -28 to 28 degrees
+_AHEAD_DEG: Final = 85, 3  # middle, and divisor: 18 azimuths over half a circle become 18 from -29 to 28 degrees
 
 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
