@@ -19,9 +19,10 @@ from pngs import chunk
 from rendered_scenes import CAMERA, blenderproc, isaac, plain, save
 
 from bodyseg_data.commands.cli import main
-from bodyseg_data.core import BadSample
+from bodyseg_data.core import BadConfig, BadSample
 from bodyseg_data.renders.blenderproc import _datasets
 from bodyseg_data.renders.images import read_array
+from bodyseg_data.renders.set_file import SetFile, read_rows, read_set
 
 FIRST = "scene-000"
 
@@ -222,6 +223,36 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "format": (in_set("bodyseg renders 1", "2"), "'format' must be 'bodyseg renders 1'"),
 }
+
+
+@pytest.mark.parametrize(
+    ("line", "rule"),
+    [
+        ("no_range = 3", "'no_range' must be a list"),
+        ('no_range = ["far"]', "a list of numbers"),
+        ("classes = [3]", "a class is a name or a table"),
+        ('classes = [{ name = "arm", label = 1.5 }]', "'label' of class 0 must be a whole number or a colour"),
+        ('classes = [{ name = "arm", colour = "red" }]', "'colour' of class 0 must be a whole number or a colour"),
+        ('classes = [{ name = "arm", within = 3 }]', "'within' of 'arm' must be a name"),
+        ('classes = [{ name = "arm", side = "up" }]', "'arm' must be left, right or middle"),
+        ("rigs = 3", "must give names to rig files"),
+        ("rig = 3", "'rig' must be a file, a name or a table"),
+        ('rig = "paper"\n[rigs]\nnear = "paper"', "found both"),
+    ],
+)
+def test_set_toml_is_refused_for_values_of_another_kind(tmp_path: Path, line: str, rule: str) -> None:
+    (tmp_path / "set.toml").write_text(f'format = "bodyseg renders 1"\n{line}\n')
+    with pytest.raises(BadConfig, match=rf"set\.toml: .*{rule}"):
+        read_set(tmp_path)
+
+
+def test_a_set_has_one_table_of_samples_with_each_key_once(tmp_path: Path) -> None:
+    (tmp_path / "samples.jsonl").write_text('{"key": "a"}\n{"key": "a"}\n')
+    with pytest.raises(BadConfig, match=r"samples\.jsonl, line 2: .*each key once, found 'a'"):
+        read_rows(tmp_path, SetFile(tmp_path / "set.toml"))
+    (tmp_path / "samples.csv").write_text("key\na\n")
+    with pytest.raises(BadConfig, match="one table of samples"):
+        read_rows(tmp_path, SetFile(tmp_path / "set.toml"))
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
