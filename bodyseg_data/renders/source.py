@@ -86,8 +86,12 @@ class RenderSource(ABC):
         if content.classes is None and classes is None:
             raise BadConfig(f"{content.path}: 'classes' is missing, names in the order of their labels")
         self.classes: Classes = content.classes or classes  # type: ignore[assignment]
-        self._rigs = {key: self._named_rig(key) for key in self._keys} if rigs is None else rigs
-        self.rigs = tuple(dict.fromkeys(self._rigs[key] for key in self._keys))
+        numbers: dict[Rig, int] = {}
+        self._rig_numbers: dict[str, int] = {}
+        for key in self._keys:
+            rig = self._named_rig(key) if rigs is None else rigs[key]
+            self._rig_numbers[key] = numbers.setdefault(rig, len(numbers))
+        self.rigs = tuple(numbers)
         self.planes: Mapping[str, str] = {}
         self.fields: Mapping[str, str] = rows.kinds()
 
@@ -131,7 +135,7 @@ class RenderSource(ABC):
         """Return a digest of what set.toml and the table of samples say of a sample, and of the names, sizes and times
         of its files, wherever their folder lies.
         """
-        said = self._said, self._rows.info(key), self.rigs.index(self._rigs[key])
+        said = self._said, self._rows.info(key), self._rig_numbers[key]
         files = [(path.name, (found := path.stat()).st_size, found.st_mtime_ns) for path in self.files(key)]
         return hashlib.sha256(repr((said, files)).encode()).hexdigest()[:16]
 
@@ -149,7 +153,8 @@ class RenderSource(ABC):
 
     def load(self, key: str) -> Render:
         """Read one of `keys()`. Raises BadSample, naming file and rule, for images that cannot be what they should."""
-        images, rig, info = dict(self.read(key)), self._rigs[key], self._rows.info(key)
+        images, info, number = dict(self.read(key)), self._rows.info(key), self._rig_numbers[key]
+        rig = self.rigs[number]
         camera = (rig.camera.rows, rig.camera.columns), "camera"
         for kind, image in images.items():
             _check_size(image, *((rig.projector_shape, PROJECTOR) if kind == PROJECTOR else camera))
@@ -168,7 +173,7 @@ class RenderSource(ABC):
             info.split,
             {**self.further(key), **info.fields},
             {name: image.array for name, image in images.items()},
-            self.rigs.index(rig),
+            number,
         )
 
     def _metres(self, image: Stored, rig: Rig, *devices: Camera) -> NDArray[np.floating[Any]]:

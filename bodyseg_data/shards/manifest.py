@@ -259,16 +259,18 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
 
 
 def _rigs(trees: Any, path: str) -> tuple[Rig, ...]:
-    if not isinstance(trees, list) or not 1 <= len(trees) <= MOST_RIGS:
+    if not isinstance(trees, list) or not trees:
         raise BadShard(f"{path}: 'rigs' must be a list of 1 to {MOST_RIGS}")
     with reported(path, BadShard, BadConfig):
-        rigs = tuple(map(rig_from_json, trees))
+        rigs = tuple(map(rig_from_json, trees[: MOST_RIGS + 1]))
     check_rigs(rigs, path)
     return rigs
 
 
 def check_rigs(rigs: Sequence[Rig], where: str) -> None:
-    """Raise BadShard unless rigs can be of one set: images of one size, and steps of range of one length."""
+    """Raise BadShard unless rigs can be of one set: not too many, images of one size, steps of range of one length."""
+    if len(rigs) > MOST_RIGS:
+        raise BadShard(f"{where}: a set has at most {MOST_RIGS} rigs")
     first = rigs[0]
     for rig in rigs[1:]:
         same = (rig.camera.rows, rig.camera.columns) == (first.camera.rows, first.camera.columns)

@@ -21,7 +21,7 @@ import torch
 from bodyseg_data import VARIANTS, BadConfig, BadSample, ColumnWriter, RangeImages, ShardWriter, loader
 from bodyseg_data.artifacts import lit_pixels
 from bodyseg_data.commands import cli
-from bodyseg_data.core import BodysegError
+from bodyseg_data.core import BadShard, BodysegError
 from bodyseg_data.files import part_beside
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.shards import ShardRecord, shard_name
@@ -149,6 +149,12 @@ def test_facing_comes_from_bits_from_normals_or_from_the_range_image(tmp_path: P
     assert np.array_equal(both.faces_second, ~bits & measured)
     assert RangeImages(tmp_path / "range").manifest.renderer == "external, facing from range images"
     assert RangeImages(tmp_path / "bits").manifest.renderer == "external"
+
+
+def test_more_rigs_than_a_manifest_may_list_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(BadShard, match="a set has at most 4096 rigs"):
+        ShardWriter(tmp_path / "set", rig=[TWO] * 4097, classes=CLASSES)
+    assert not (tmp_path / "set").exists()
 
 
 def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
