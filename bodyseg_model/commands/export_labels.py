@@ -175,7 +175,7 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
             raise BadConfig(f"--{name} is for sets, not for {options.folder}, which `bodyseg segment` wrote")
     folder = Path(options.folder)
     try:
-        summary = read_json(folder / segmentation.SUMMARY)
+        summary = segmentation.read_summary(folder)
         label_map = label_map_from_json(summary["labels"], f"{folder / segmentation.SUMMARY}, labels")
         each = [(str(at["name"]), str(at["path_id"])) for at in summary["each"]]
         times = [at.get("time_s") for at in summary["each"]]

@@ -33,6 +33,7 @@ LEGEND: Final = "legend.png"
 UNFINISHED: Final = "unfinished.json"
 """Frames of a call that has not ended yet, or was cut short; it goes when `SUMMARY` is written."""
 
+_LARGEST: Final = 1 << 31  # bytes of `SUMMARY`: a frame takes one kilobyte, with several people two
 _MOST_WAITING: Final = 4  # jobs of `WriteBehind` that are not done, so that slow disks bound memory
 _LEGEND_WIDTH: Final = 900
 
@@ -145,6 +146,11 @@ class OutputFolder:
             (self.path / UNFINISHED).unlink(missing_ok=True)
 
 
+def read_summary(folder: Path) -> dict[str, Any]:
+    """The content of `SUMMARY` in a folder of results. Raises BadConfig."""
+    return read_json(folder / SUMMARY, _LARGEST)
+
+
 def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
     """Name and file of every frame of an earlier call, from its summary or, if it was cut short, from `UNFINISHED`."""
     strange = [name for name in held if name not in (SUMMARY, UNFINISHED, PREVIEW, LEGEND, *ImageKind)]
@@ -156,7 +162,7 @@ def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
         )
     frames: dict[str, dict[str, Any]] = {}
     for name in notes:
-        tree = read_json(out / name)
+        tree = read_json(out / name, _LARGEST)
         each = tree.get("each")
         if tree.get("format") != FORMAT or not isinstance(each, list) or not all(map(_is_frame, each)):
             raise BadConfig(

@@ -252,6 +252,13 @@ def test_a_folder_of_segment_is_exported_with_its_people(labelled: tuple[Path, P
     assert not (out / "annotations.json").exists(), "the earlier export is gone"
 
 
+def test_the_results_of_an_hour_of_frames_are_exported(labelled: tuple[Path, Path], tmp_path: Path) -> None:
+    _, folder = labelled
+    with (folder / "summary.json").open("a") as file:
+        file.write(" " * (1 << 26))  # as long as that of 60 000 frames
+    assert tree(export(tmp_path / "out", folder, "coco") / "annotations.json")["annotations"]
+
+
 def test_people_whose_boxes_overlap_are_told_apart(labelled: tuple[Path, Path], tmp_path: Path) -> None:
     bent = standing((5, 5, 8, 60), (5, 5, 50, 10), (30, 40, 25, 12))
     np.save(tmp_path / "a.npy", bent)

@@ -114,6 +114,14 @@ def test_results_of_the_same_frames_are_replaced(recording: Path, tmp_path: Path
     assert {path.name for path in out.iterdir() if path.is_dir()} == {"labels", "overlay"}, "no empty folder is left"
 
 
+def test_results_of_an_hour_of_frames_are_replaced(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    filled(out, recording)
+    with (out / "summary.json").open("a") as file:
+        file.write(" " * (1 << 26))  # as long as that of 60 000 frames
+    opened(out, recording).begin()
+
+
 def test_frames_are_the_same_from_any_folder_and_others_of_their_path_are_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
