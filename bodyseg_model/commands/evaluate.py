@@ -20,7 +20,7 @@ from bodyseg_data.machine import peak_mb
 from bodyseg_data.samples import OccluderName, ReadSplit
 from bodyseg_model import evaluation, networks, runtimes, training
 
-EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
+EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards --json all-0.json"
 
 _FORMAT: Final = "bodyseg evaluation 1"
 _OF_IMAGES: Final = ("variant", "split", "val_share", "where", "seed", "sensor", "noise_mm", "missing")

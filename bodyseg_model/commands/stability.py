@@ -18,7 +18,7 @@ from bodyseg_data.files import last_name, make_folder, write_json
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_model import networks, runtimes, stability, training
 
-EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
+EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 --data shards --out stability"
 
 _FORMAT: Final = "bodyseg stability 1"
 

@@ -14,7 +14,7 @@ from bodyseg_data.files import write_result
 from bodyseg_data.shards import MANIFEST_NAME, read_manifest
 from bodyseg_data.transfer.transfers import CARD_NAMES
 
-EXAMPLE = 'tools/card shards --title "Standing people" --licence CC0-1.0 --author "A. Author"'
+EXAMPLE = 'tools/card shards --licence CC0-1.0 --author "A. Author"'
 
 
 @dataclass(frozen=True)
