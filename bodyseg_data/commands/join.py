@@ -22,5 +22,5 @@ def run(options: Options) -> int:
     """Join the parts and print a line on the set."""
     with Progress("joining", "samples") as progress:
         manifest = join(options.parts, options.out, options.shard_samples, progress.update)
-    sys.stdout.write(f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards\n")
+    sys.stdout.write(f"{options.out}: {manifest.counts}\n")
     return 0

@@ -159,8 +159,7 @@ def _said(options: Options, unit: str, make: Callable[[Progress], Manifest]) -> 
         manifest = make(progress)
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
-        f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
-        f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
+        f"{options.out}: {manifest.counts}, {size / 1e6:.1f} MB, {size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
     sys.stderr.write("".join(f"skipped {mesh}: {why}\n" for mesh, why in manifest.skipped.items()))
     notes = [note for shard in manifest.shards for note in shard.notes]

@@ -38,8 +38,8 @@ def run(options: Options) -> int:
         sys.stdout.write(f"note: {note}\n")
     if faults:
         return 1
-    size, held = sum(shard.size for shard in manifest.shards), f"{manifest.samples()} samples"
-    sys.stdout.write(f"{store.name}: {held} in {len(manifest.shards)} shards, {size / 1e6:.1f} MB: no fault\n")
+    size = sum(shard.size for shard in manifest.shards)
+    sys.stdout.write(f"{store.name}: {manifest.counts}, {size / 1e6:.1f} MB: no fault\n")
     if columns := shards.column_names(store):
         sys.stdout.write(f"columns: {', '.join(columns)}: no fault\n")
     return 0

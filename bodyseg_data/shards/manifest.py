@@ -98,8 +98,13 @@ class Manifest:
         return self.rigs[number]
 
     def __repr__(self) -> str:
-        size = f"{self.samples()} samples in {len(self.shards)} shards"
-        return f"Manifest({size}, codec={self.codec!r}, source={self.source!r}, renderer={self.renderer!r})"
+        return f"Manifest({self.counts}, codec={self.codec!r}, source={self.source!r}, renderer={self.renderer!r})"
+
+    @property
+    def counts(self) -> str:
+        """Its numbers of samples and shards in words."""
+        samples, shards = self.samples(), len(self.shards)
+        return f"{samples} sample{'s' * (samples != 1)} in {shards} shard{'s' * (shards != 1)}"
 
     @property
     def index(self) -> ShardTable | None:

@@ -96,6 +96,7 @@ def test_a_manifest_and_its_records_print_in_one_line(figures_set: Path) -> None
     assert repr(shard) == f"ShardRecord({shard.name!r}, {len(shard.keys)} samples, {shard.size} bytes)"
     assert repr(manifest).startswith(f"Manifest({manifest.samples()} samples in {len(manifest.shards)} shards, codec=")
     assert len(repr(manifest)) < 200
+    assert replace(manifest, shards=[shard]).counts == f"{len(shard)} samples in 1 shard"
 
 
 def test_a_shard_cut_at_any_block_is_reported(copy: Path) -> None:
