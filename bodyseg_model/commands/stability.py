@@ -82,8 +82,9 @@ def _curves(figures: dict[str, Any]) -> Iterator[str]:
         for label, scores in figures["groups"].items():
             rows = zip(sweep["strengths"], scores["curves"][name]["mean"], strict=True)
             far = scores["gross_errors"][name]
-            gross = "" if far is None else f"; last, beyond 30 mm: {100 * far['beyond_30_mm']['mean'][-1]:.1f} %"
-            yield f"{name}, {label}: {', '.join(f'{each:g} {100 * mean:.1f} %' for each, mean in rows)}{gross}"
+            gross = "" if far is None else f"; there {100 * far['beyond_30_mm']['mean'][-1]:.1f} % beyond 30 mm"
+            means = ", ".join(f"{100 * mean:.1f} % at {each:g}" for each, mean in rows)
+            yield f"{name} ({sweep['axis']}), {label}: {means}{gross}"
 
 
 def _images(

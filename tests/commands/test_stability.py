@@ -180,10 +180,10 @@ def test_without_a_reference_there_is_no_mce(
     assert len(lines) == len(figures["sweeps"])
     for line, (name, curve) in zip(lines, figures["groups"]["all"]["curves"].items(), strict=True):
         far = figures["groups"]["all"]["gross_errors"][name]["beyond_30_mm"]["mean"][-1]
-        assert line.startswith(
-            f"{name}, all: {figures['sweeps'][name]['strengths'][0]:g} {100 * curve['mean'][0]:.1f} %"
-        )
-        assert line.endswith(f" {100 * curve['mean'][-1]:.1f} %; last, beyond 30 mm: {100 * far:.1f} %")
+        sweep = figures["sweeps"][name]
+        assert line.startswith(f"{name} ({sweep['axis']}), all: {100 * curve['mean'][0]:.1f} % at ")
+        last = f"{100 * curve['mean'][-1]:.1f} % at {sweep['strengths'][-1]:g}"
+        assert line.endswith(f", {last}; there {100 * far:.1f} % beyond 30 mm")
     assert "no --reference, so no mCE" in said and "fewer than 3 seeds, so no spread to speak of: all" in said
 
 
