@@ -63,14 +63,15 @@ def draw_stability(figures: Tree, path: Path) -> None:
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
     sweeps, groups = figures["sweeps"], figures["groups"]
-    rows = -(-len(sweeps) // _COLUMNS)
+    columns = min(_COLUMNS, len(sweeps))
+    rows = -(-len(sweeps) // columns)
     styles = _styles(groups)
     handles = [_handle(label, group, styles[label]) for label, group in groups.items()]
     longest_in = 1.0 + 0.085 * max(len(handle.get_label()) for handle in handles)  # columns are as wide as this
     in_a_row = max(1, min(_MOST_IN_A_ROW, len(handles), int(_WIDTH / longest_in)))
     legend_rows = -(-len(handles) // in_a_row)
     figure = new_chart(_WIDTH, 0.9 + 0.3 * legend_rows + 3.0 * rows)
-    axes = figure.subplots(rows, _COLUMNS, sharey=True, squeeze=False)
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
     for axis in axes.flat[len(sweeps) :]:
         axis.set_visible(False)
     for index, (name, sweep) in enumerate(sweeps.items()):
@@ -78,7 +79,7 @@ def draw_stability(figures: Tree, path: Path) -> None:
         _panel(axis, sweep, figures["bound"])
         for order, (label, group) in enumerate(groups.items()):
             _line(axis, sweep["strengths"], group["curves"][name], styles[label], 3 + order)
-        if index % _COLUMNS == 0:
+        if index % columns == 0:
             axis.set_ylabel("average per-class accuracy", fontsize=10)
     figure.legend(
         handles=handles, loc="outside lower center", ncols=in_a_row, fontsize=10.5, handlelength=4.5, frameon=False,

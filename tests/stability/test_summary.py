@@ -202,9 +202,11 @@ def test_the_reference_is_one_group() -> None:
 def test_the_figure_shows_every_group(figures: dict[str, Any], tmp_path: Path) -> None:
     draw_stability(figures, tmp_path / "stability.png")
     with Image.open(tmp_path / "stability.png") as picture:
-        colours = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+        colours = np.asarray(picture.convert("RGB"))
     for colour in ((0xB8, 0x36, 0x0F), (0, 0, 0), (0x8A, 0x8A, 0x8A)):
-        assert (colours == colour).all(axis=1).sum() > 100
+        assert (colours == colour).all(axis=-1).sum() > 100
+    bound = (colours == (0x8A, 0x8A, 0x8A)).all(axis=-1).any(axis=0)
+    assert bound[-100:].any(), "two panels fill the figure's width"
 
 
 def test_groups_of_one_variant_look_different(figures: dict[str, Any], tmp_path: Path) -> None:
