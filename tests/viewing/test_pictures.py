@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bodyseg_data.drawing import EMPTY
+from bodyseg_data.drawing import EMPTY, PAPER
 from bodyseg_data.labels import PARTS33, label_map_names, load_label_map
 from bodyseg_model.viewing.page import picture_file
 from bodyseg_model.viewing.pictures import (
@@ -42,6 +42,14 @@ def test_panels_lie_side_by_side_at_one_size() -> None:
     assert np.count_nonzero((picture == 90).all(-1)) >= layout.rows * layout.width
     columns = np.flatnonzero((picture == 90).all(-1).sum(0) >= layout.rows)
     assert columns[0] > np.flatnonzero((picture == 200).all(-1).any(0))[-1]
+
+
+def test_words_of_a_sensors_draws_are_not_cut_off() -> None:
+    layout = Layout.of(5, (40, 20))
+    panel = Panel("all", np.zeros((layout.rows, layout.width, 3), np.uint8), "noise 2 mm, 0% missing, 13% in patches")
+    picture = layout.draw([[panel] * 5])
+    free = np.r_[:8, *(np.arange(left - 8, left) for left, *_ in layout.boxes(0)), WIDTH - 8 : WIDTH]
+    assert (picture[:, free] == PAPER).all() and (picture[-8:] == PAPER).all()
 
 
 def test_reduced_images_hold_pixels_of_the_image() -> None:
