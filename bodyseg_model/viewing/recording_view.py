@@ -130,7 +130,7 @@ class RecordingView:
         stages = ", ".join(f"{stage} {time:.0f}" for stage, time in frame.milliseconds.items())
         facts = [
             self.recording.frames[number].name,
-            f"frame {number + 1} of {len(self)}: {self._counted(frame)}",
+            f"frame {number}, {len(self)} in all: {self._counted(frame)}",
             f"{sum(frame.milliseconds.values()):.0f} ms when it was labelled: {stages}",
         ]
         if frame.mean_confidence is not None:

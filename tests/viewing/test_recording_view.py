@@ -56,7 +56,7 @@ def test_frames_that_are_labelled_whole_have_no_people(tmp_path: Path) -> None:
     frames = view_of(tmp_path, frame(10)).recording.frames
     labeller = FrameLabeller(Trained(Places(1, 8), {"rig": SMALL.to_json()}), Background("frame"))
     drawing = RecordingView(labeller.recording(frames, focal_px=90.0)).draw(ShownFrame())
-    assert drawing.facts[1] == "frame 1 of 1: labelled whole"
+    assert drawing.facts[1] == "frame 0, 1 in all: labelled whole"
 
 
 def test_mirrored_frames_show_the_world_as_it_is(tmp_path: Path) -> None:
