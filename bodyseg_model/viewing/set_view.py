@@ -181,7 +181,9 @@ class SetView:
     def draw(self, shown: Shown) -> Drawing:
         """Draw a sample. Raises as `images_of`."""
         images = self.images_of(shown)
+        lacking: tuple[str, ...] = ()
         if shown.variant not in images.variants:
+            lacking = (f"{shown.variant} needs the projector's range, which the sample has not: none is shown",)
             shown = replace(shown, variant="none")
         range_m = metres(images.layers.range, self.rig.range_step_m)
         seen = np.flatnonzero(range_m)
@@ -190,7 +192,7 @@ class SetView:
             Points(points_at(range_m, images.placed[0]), colours),
             images.devices,
             self.layout_of(images.sample)[0].draw(self._panels(images, shown)),
-            self.facts_of(images, shown),
+            self.facts_of(images, shown) + lacking,
             point_gap_m(range_m, images.placed[0].camera),
             len(seen),
             self.legend_of(images, shown.colouring),

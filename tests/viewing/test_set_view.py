@@ -150,7 +150,9 @@ def test_panels_of_an_empty_scene_without_a_projector(tmp_path: Path, monkeypatc
         shape = SMALL.camera.rows, SMALL.camera.columns
         out.write(key="scene", range_m=np.zeros(shape), labels=np.full(shape, 255))
     monkeypatch.setattr(Layout, "draw", lambda layout, lines: lines)
-    panels: Any = SetView(tmp_path / "set").draw(Shown(variant="all")).picture
+    drawing = SetView(tmp_path / "set").draw(Shown(variant="all"))
+    assert drawing.facts[-1] == "all needs the projector's range, which the sample has not: none is shown"
+    panels: Any = drawing.picture
     assert [(each.name, each.note) for each in panels[0]] == [
         ("stored range", "nothing in view"),
         ("labels, none", "0 pixels"),
