@@ -1,4 +1,4 @@
-"""Worker threads beside worker processes: speed, processor time, memory, start, and what they cost a training.
+"""Worker threads beside worker processes: speed, processor time, memory and start.
 
 Each loader runs in a process of its own, so that its memory is its own, and all stay open. Every round asks each of
 them for one pass, one after the other, in a new order, so that other work on the machine affects all alike.
@@ -35,9 +35,6 @@ _BATCH: Final = 20
 _ROUNDS: Final = 7
 _VIEWS_A_BODY: Final = 18
 VARIANTS: Final[tuple[VariantName, ...]] = ("all", "none")
-TRAINING_STEPS: Final = 8
-TRAINING_BATCH: Final = 4
-_TRAININGS: Final = 3
 START_METHOD: Final = "spawn"  # of the processes that hold a loader each
 _WAIT_S: Final = 0.01
 _SEED: Final = 0
@@ -45,14 +42,13 @@ _SEED: Final = 0
 
 @dataclass
 class Measured:
-    """Measurements of one loader. rates: samples a second, one a round; starts_ms: to a round's first batch.
+    """Measurements of one loader. rates: samples a second, one a round.
 
     seconds: of processor, workers included, and samples: of all rounds. opening_ms: to the first batch of all, starting
     the workers. peak_mb: the most memory of the process and its workers during a pass; see `tree_mb`.
     """
 
     rates: list[float] = field(default_factory=list)
-    starts_ms: list[float] = field(default_factory=list)
     seconds: float = 0.0
     samples: int = 0
     opening_ms: float = 0.0
@@ -82,27 +78,22 @@ def measure(
     num_workers: Sequence[int] = (0, 2, 4),
     batch: int = _BATCH,
     rounds: int = _ROUNDS,
-    trainings: int = _TRAININGS,
     progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """`bench_workers` on the set in `packed`."""
-    most = max(num_workers)
     setups = [setup for variant in VARIANTS for setup in _setups(variant, num_workers)]
-    tick = counter(progress, len(setups) * (rounds + 2) + 3 * trainings)
+    tick = counter(progress, len(setups) * (rounds + 2))
     found: dict[Setup, Measured] = {}
     for variant in VARIANTS:
         expected = {image.key: checksum_of(image) for image in Premade(RangeImages(packed, variant))}
         of_variant = [setup for setup in setups if setup.variant == variant]
         found |= _rounds(packed, of_variant, batch, rounds, expected, tick)
-    workers = min(2, most)
-    kinds = [Setup("all", "thread", 0), Setup("all", "thread", workers), Setup("all", "process", workers)]
-    training = _trainings(packed, kinds, trainings, tick)
-    counts = {"samples": len(RangeImages(packed)), "batch": batch, "rounds": rounds}
     return {
         "rows": [_row(setup, one) for setup, one in found.items()],
         "thread_over_process": _ratios(found),
-        "training": training,
-        **counts,
+        "samples": len(RangeImages(packed)),
+        "batch": batch,
+        "rounds": rounds,
     }
 
 
@@ -167,7 +158,6 @@ def _measured_pass(pipe: Any, process: int, samples: int, into: Measured) -> Non
     one: Pass = pipe.recv()
     after = processor_seconds(process_tree(process))
     into.rates.append(one.samples / one.seconds)
-    into.starts_ms.append(one.start_ms)
     into.samples += samples
     into.seconds += (after or 0.0) - (before or 0.0)
 
@@ -183,25 +173,6 @@ def _peak_mb(pipe: Any, process: int) -> float | None:
     return round(max(known), 1) if known else None
 
 
-def _trainings(packed: Path, setups: list[Setup], trainings: int, tick: Callable[[], None]) -> list[dict[str, Any]]:
-    """Trainings of `compact` on one thread with each of the setups, in turn."""
-    found: dict[Setup, list[dict[str, float]]] = {setup: [] for setup in setups}
-    for number in range(trainings):
-        for setup in setups[number % len(setups) :] + setups[: number % len(setups)]:
-            with _started(subject.train, packed, setup, TRAINING_STEPS, TRAINING_BATCH) as (pipe, _):
-                found[setup].append(pipe.recv())
-            tick()
-    return [
-        {
-            "method": setup.method,
-            "workers": setup.num_workers,
-            "images_per_second": [one["images_per_second"] for one in runs],
-            "data_wait": [one["data_wait"] for one in runs],
-        }
-        for setup, runs in found.items()
-    ]
-
-
 def _row(setup: Setup, one: Measured) -> dict[str, Any]:
     return {
         "variant": setup.variant,
@@ -211,7 +182,6 @@ def _row(setup: Setup, one: Measured) -> dict[str, Any]:
         "processor_ms_per_sample": round(1e3 * one.seconds / one.samples, 3),
         "peak_mb": one.peak_mb,
         "opening_ms": round(one.opening_ms),
-        "first_batch_ms": round(statistics.median(one.starts_ms), 1),
         "rounds_of": [round(rate, 1) for rate in one.rates],
     }
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import statistics
 import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 import torch
 
@@ -35,11 +32,10 @@ class Setup:
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass over the set. start_ms: from the request of a pass to its first batch. seconds: from the moment when
-    each worker has delivered a batch to the last batch, which brings the pass to `samples` of them.
+    """One pass over the set. seconds: from the moment when each worker has delivered a batch to the last batch, which
+    brings the pass to `samples` of them.
     """
 
-    start_ms: float
     seconds: float
     samples: int
 
@@ -73,45 +69,10 @@ def _first_pass(batches: Loader) -> tuple[float, dict[str, int]]:
 
 
 def _timed_pass(batches: Loader, workers: int) -> Pass:
-    begin = start = time.perf_counter()
-    timed, start_ms = 0, 0.0
+    start, timed = time.perf_counter(), 0
     for number, batch in enumerate(batches, start=1):
-        if number == 1:
-            start_ms = 1e3 * (time.perf_counter() - begin)
         if number == max(workers, 1):
             start = time.perf_counter()
         elif number > max(workers, 1):
             timed += len(batch["key"])
-    return Pass(start_ms, time.perf_counter() - start, timed)
-
-
-def train(pipe: Connection, packed: Path, setup: Setup, steps: int, batch: int) -> None:
-    """Train `compact` for some steps on one thread; send the median images a second, and share of time that waits for
-    data, of all steps but the first two.
-    """
-    from bodyseg_model.networks import build
-    from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, recipe_for
-    from bodyseg_model.training.distributed import ProcessGroup
-
-    torch.set_num_threads(1)
-    lines: list[Metrics] = []
-    options = RunOptions(
-        log_every=1, checkpoint_every=steps, num_workers=setup.num_workers, worker_method=setup.worker_method
-    )
-    recipe = recipe_for("compact", steps=steps, batch_size=batch, accumulate=1)
-    with TemporaryDirectory(prefix="bodyseg-training-") as folder:
-        training = Training(
-            build("compact", seed=0),
-            "compact",
-            RangeImages(packed, setup.variant, "train"),
-            recipe,
-            RunFolder(Path(folder) / "run"),
-            ProcessGroup(0, 1, torch.device("cpu")),
-            run_options=options,
-        )
-        training.run(False, lines.append, {})
-    found: dict[str, Any] = {
-        name: statistics.median(getattr(line, name) for line in lines[2:])
-        for name in ("images_per_second", "data_wait")
-    }
-    pipe.send(found)
+    return Pass(time.perf_counter() - start, timed)

@@ -7,13 +7,11 @@ itself: what carrying landmarks over by fits costs.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
@@ -29,26 +27,22 @@ from bodyseg_data.meshes.landmarks import nearest_corner
 
 _MIRROR: Final = [part.mirror for part in PARTS]
 _ACROSS: Final = np.array([-1.0, 1.0, 1.0])
-_AXES: Final = ("left_mm", "up_mm", "forward_mm")
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A body, the open body fitted to it, and the processor seconds that took. true: its partition by annotations."""
+    """A body, and the open body fitted to it. true: its partition by annotations."""
 
     of: Annotated
     fitted: FittedBody
-    seconds: float
     true: Partition
 
 
 def fitted_to(body: FittingBody, annotated: Annotated) -> Fitted:
     """Fit the open body to an annotated one, whose annotations the fit does not use. Raises as `fit_body`."""
-    start = time.process_time()
     fitted = fit_body(body, annotated.mesh)
-    seconds = time.process_time() - start
     landmarks, _ = nearest_corner(annotated.mesh.vertices, annotated.mesh.faces, annotated.points)
-    return Fitted(annotated, fitted, seconds, partition(annotated.mesh, landmarks.astype(np.int64)))
+    return Fitted(annotated, fitted, partition(annotated.mesh, landmarks.astype(np.int64)))
 
 
 def carried(fitted: FittedBody, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,18 +60,6 @@ def carried(fitted: FittedBody, points: NDArray[np.float64]) -> NDArray[np.float
     nearest = body.skin[tree.query(np.concatenate([points, NORMAL_REACH_M * facing], axis=1))[1]]
     rest: NDArray[np.float64] = body.mesh.vertices[nearest]
     return rest
-
-
-def upright(fitted: FittedBody, offsets: NDArray[np.float64], vertices: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Turn `offsets` [N, 3] at `vertices` [N] of the fitted body as they are on the body at rest, in its frame."""
-    body, fit = fitted.body, fitted.fit
-    skin = body.whole.at(vertices)
-    with torch.inference_mode():
-        motions = body.bone_motions(fit.turns(body)[None], fit.shape[None])
-        blend = (skin.weights @ motions.flatten(2)).reshape(-1, 3, 4)[..., :3].numpy()
-    left, _, right = np.linalg.svd(blend)  # the rotation nearest to a blend of rotations, which itself shrinks
-    turned: NDArray[np.float64] = np.einsum("nij,ni->nj", left @ right, offsets)
-    return turned
 
 
 def placed(bodies: Sequence[Fitted], mirrored: bool = True) -> NDArray[np.int64]:
@@ -144,21 +126,14 @@ def proposed(way: Sequence[tuple[NDArray[np.int64], Sequence[Fitted]]]) -> dict[
 
 
 def measured(bodies: Sequence[Fitted], ways: Ways) -> dict[str, Any]:
-    """All figures: of each way to place landmarks, and of each fit."""
+    """The landmarks placed by all people and by each alone, and the errors of each way to place them."""
     ((all_people, _),) = ways["all_people"]
-    seconds = [one.seconds for one in bodies]
     return {
-        "seconds": {"mean": round(float(np.mean(seconds)), 1), "most": round(max(seconds), 1)},
-        "poor_fits": [one.of.name for one in bodies if one.fitted.proposal(all_people).poor],
         "placed": _by_name(all_people),
         "placed_by": {
             who: _by_name(placed([one for one in bodies if one.of.person == who])) for who in people_of(bodies)
         },
         **{name: _errors([error for way in pairs for error in _compared(*way)]) for name, pairs in ways.items()},
-        "fits": {
-            one.of.name: {"gap_mm": round(1000 * one.fitted.gap_m, 1), "seconds": round(one.seconds, 1)}
-            for one in bodies
-        },
     }
 
 
@@ -168,11 +143,10 @@ def _by_name(vertices: NDArray[np.int64]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class _Compared:
-    """Errors of one body. away: [33], metres. upright: [33, 3], offsets as on the body at rest. wrong: share."""
+    """Errors of one body. away: [33], metres, of its landmarks. wrong: share of its surface."""
 
     of: Annotated
     away: NDArray[np.float64]
-    upright: NDArray[np.float64]
     wrong: float
 
 
@@ -180,44 +154,19 @@ def _compared(vertices: NDArray[np.int64], bodies: Sequence[Fitted]) -> Iterator
     for one in bodies:
         mesh = one.of.mesh
         found = one.fitted.proposal(vertices).landmarks.for_mesh(mesh)
-        offsets = mesh.vertices[found] - one.of.points
+        away = np.linalg.norm(mesh.vertices[found] - one.of.points, axis=1)
         differ = (partition(mesh, found).labels != one.true.labels).astype(np.uint8)
-        wrong = float(part_areas(mesh, differ)[1])
-        yield _Compared(one.of, np.linalg.norm(offsets, axis=1), upright(one.fitted, offsets, vertices), wrong)
+        yield _Compared(one.of, away, float(part_areas(mesh, differ)[1]))
 
 
 def _errors(errors: Sequence[_Compared]) -> dict[str, Any]:
     away = 1000 * np.stack([one.away for one in errors])
-    offset = 1000 * np.stack([one.upright for one in errors]).mean(axis=0)
-    size = np.linalg.norm(offset, axis=1)
-    largest = int(size.argmax())
     poses = summed({(n, one.of.pose): np.array([one.away.sum(), 33]) for n, one in enumerate(errors)}, _pose)
     return {
         "mean_mm": round(float(away.mean()), 1),
         "interval_mm": _interval_mm(list(poses.values())),
         "median_mm": round(float(np.median(away)), 1),
-        "worst_mm": round(float(away.max()), 1),
-        "largest_mean_offset_mm": round(float(size[largest]), 1),
-        "largest_mean_offset": LANDMARKS[largest],
         "wrong_surface": round(float(np.mean([one.wrong for one in errors])), 4),
-        "people": {
-            person: round(float(np.mean([1000 * one.away.mean() for one in errors if one.of.person == person])), 1)
-            for person in dict.fromkeys(one.of.person for one in errors)
-        },
-        "landmarks": {
-            name: {"mean_mm": round(float(away[:, n].mean()), 1), "offset_mm": round(float(size[n]), 1)}
-            | {axis: round(float(value), 1) for axis, value in zip(_AXES, offset[n], strict=True)}
-            for n, name in enumerate(LANDMARKS)
-        },
-        "meshes": {
-            one.of.name: {
-                "mean_mm": round(1000 * float(one.away.mean()), 1),
-                "worst_mm": round(1000 * float(one.away.max()), 1),
-                "worst": LANDMARKS[int(one.away.argmax())],
-                "wrong_surface": round(one.wrong, 4),
-            }
-            for one in errors
-        },
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,11 +81,9 @@ class Counted:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Scores by person, pose, body and part, and gross errors of all and of each person."""
-        found = by_groups(self.counts)
-        for person, scores in found["people"].items():
-            scores["gross_errors"] = gross_errors([self.of((person,))])
-        return found | {"calibration_error": self.calibration_error, "gross_errors": gross_errors([self])}
+        """Scores of all images."""
+        errors = {"calibration_error": self.calibration_error, "gross_errors": gross_errors([self])}
+        return summary(self.counts) | errors
 
 
 def gross_errors(several: Iterable[Counted]) -> dict[str, float] | None:
@@ -150,55 +148,24 @@ def agreement(true: Path, other: Path, bodies: dict[str, Annotated]) -> dict[str
         body = bodies[split_key(key)[0]]
         labels, others = (images.clean(index).labels for images in (truth, found))
         counts[body.person, body.pose, key] = count_pairs(pairs_of(labels, others))
-    return by_groups(counts)
+    return summary(counts)
 
 
-def by_groups(counts: dict[Key, Counts]) -> dict[str, Any]:
-    """Average per-class accuracy of all images, of each person and of each pose, with intervals, and of each body.
+def summary(counts: Mapping[Key, Counts]) -> dict[str, Any]:
+    """Average per-class accuracy of all images, with the interval that drawing poses gives, with all who took them.
 
-    counts: int64 [33, 33] of each image. The interval of all images draws poses, with all who took them; that of a
-    person the poses; that of a pose its images.
+    counts: int64 [33, 33] of each image.
     """
-    everything = list(counts.values())
-    total = accuracy(np.sum(everything, axis=0)) if everything else float("nan")
-    bodies = summed(counts, lambda key: f"{key[0]}, {key[1]}")
-    poses = _each((key[1] for key in counts), lambda name: [one for key, one in counts.items() if key[1] == name])
-    return {
-        "images": len(counts),
-        "accuracy": _rounded(total),
-        "interval": interval(list(summed(counts, lambda key: str(key[1])).values()), accuracy),
-        "people": _each(
-            (key[0] for key in counts),
-            lambda name: list(
-                summed({k: one for k, one in counts.items() if k[0] == name}, lambda k: str(k[1])).values()
-            ),
-        ),
-        "poses": dict(sorted(poses.items(), key=lambda item: float(item[1]["accuracy"] or 0))),
-        "bodies": {name: _rounded(accuracy(one)) for name, one in bodies.items()},
-        "parts": {
-            name: _rounded(float(value))
-            for name, value in zip(LANDMARKS, _matrix(np.sum(everything, axis=0)).per_class_accuracy(), strict=True)
-        },
-    }
+    poses = list(summed(counts, lambda key: str(key[1])).values())
+    total = accuracy(np.sum(poses, axis=0)) if poses else float("nan")
+    return {"images": len(counts), "accuracy": _rounded(total), "interval": interval(poses, accuracy)}
 
 
 def accuracy(counts: NDArray[Any]) -> float:
     """Average per-class accuracy of counts [33, 33]."""
-    return _matrix(counts).average_per_class_accuracy()
-
-
-def _matrix(counts: NDArray[Any]) -> ConfusionMatrix:
     matrix = ConfusionMatrix()
     matrix.counts = counts
-    return matrix
-
-
-def _each(names: Iterable[str], groups: Callable[[str], list[Counts]]) -> dict[str, dict[str, Any]]:
-    found = {}
-    for name in dict.fromkeys(names):
-        parts = groups(name)
-        found[name] = {"accuracy": _rounded(accuracy(np.sum(parts, axis=0))), "interval": interval(parts, accuracy)}
-    return found
+    return matrix.average_per_class_accuracy()
 
 
 def _rounded(value: float) -> float | None:
