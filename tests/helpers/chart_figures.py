@@ -9,7 +9,6 @@ from typing import Any
 
 from benches.charts.choice import Panel
 from benches.charts.choices import CHOICES
-from benches.charts.fields import Field
 
 BY_NAME = {choice.name: choice for choice in CHOICES}
 SOURCE = {"command": "tools/bench it --views 3", "commit": "0123456789ab", "hardware": "1 core of a test"}
@@ -149,4 +148,4 @@ def write_figures_of(folder: Path, *benches: str) -> None:
 def panels_of(name: str, **changes: Any) -> tuple[Panel, ...]:
     """What a choice reads out of its figures, with some fields changed."""
     choice = BY_NAME[name]
-    return choice.panels(Field(figures_of(choice.stem) | changes, Path(f"{choice.stem}.json")))
+    return choice.panels(figures_of(choice.stem) | changes, Path(f"{choice.stem}.json"))

@@ -93,7 +93,7 @@ def test_a_damaged_file_leaves_nothing_half_written(results: Path, tmp_path: Pat
     figures = figures_of("codec")
     del figures[field]
     (results / "codec.json").write_text(json.dumps(figures))
-    with pytest.raises(BadConfig, match=rf"codec\.json: the field '{field}' is missing$"):
+    with pytest.raises(BadConfig, match=rf"codec\.json .*{field}"):
         run(Options(in_=results, out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 

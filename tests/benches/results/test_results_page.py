@@ -76,7 +76,7 @@ def test_the_charts_are_of_the_figures_beside_them(choice: Choice) -> None:
     figures = figures_of(RESULTS, choice.stem)
     sources = [
         {"file": str(one.file.relative_to(RESULTS))}
-        | {name: one[name].text() for name in ("command", "commit", "hardware")}
+        | {name: one.content[name] for name in ("command", "commit", "hardware")}
         for one in figures
     ]
     made = described(choice, panels_of(choice, figures), sources)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
-from benches.charts.fields import Field
 from benches.charts.fronts import Axis, Point
 from bodyseg_data.core import BadConfig
 
@@ -43,7 +43,7 @@ class Choice:
     note: str
     x: Axis
     y: Axis
-    read: Callable[[Field], tuple[Panel, ...]]
+    read: Callable[[Mapping[str, Any]], tuple[Panel, ...]]
     shared: Literal["xy", "y", ""] = "xy"
     results: str = ""
 
@@ -52,10 +52,15 @@ class Choice:
         """Name of the file of its figures, without .json."""
         return self.results or self.bench
 
-    def panels(self, figures: Field) -> tuple[Panel, ...]:
-        """The panels that `read` finds. Raises BadConfig, naming the file, if a default is not among the points."""
-        found = self.read(figures)
+    def panels(self, figures: Mapping[str, Any], file: Path) -> tuple[Panel, ...]:
+        """The panels that `read` finds in the content of a file. Raises BadConfig, naming the file, for figures of
+        another kind, or if a default is not among the points.
+        """
+        try:
+            found = self.read(figures)
+        except (LookupError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
+            raise BadConfig(f"{file} has not the figures of bench {self.bench}: {error!r}") from error
         for panel in found:
             if panel.default is not None and panel.default not in {point.name for point in panel.points}:
-                raise BadConfig(f"{figures.file}: the default {panel.default!r} is not among: {panel.name}")
+                raise BadConfig(f"{file}: the default {panel.default!r} is not among: {panel.name}")
         return found

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 from benches.charts.choice import Choice, Limit, Panel
-from benches.charts.fields import Field
 from benches.charts.fronts import Axis, Point
 from benches.charts.scales import shown
-from bodyseg_data.core import BadConfig
+
+Figures = Mapping[str, Any]
 
 _FAMILIES: Final = {
     "compact": "compact: ours",
@@ -46,70 +47,66 @@ _LABEL_LETTERS: Final = 24  # of a line of a long name
 _NAMED_CODECS: Final = ("bsi, NumPy", "PNG", "JPEG-LS", "LERC", "JPEG XL, effort 1", "Blosc2: bytes, zstd 5")
 
 
-def _renderer(figures: Field) -> tuple[Panel, ...]:
+def _renderer(figures: Figures) -> tuple[Panel, ...]:
     panels = []
-    if (alone := figures.get("renderers")) is not None:
+    if alone := figures.get("renderers"):
         points = [
-            _rendered(name, row["ms_per_view"].number(above=0), row["range_error_mm"], row["silhouette_error"])
-            for name, row in alone.items().items()
+            _rendered(name, row["ms_per_view"], row["range_error_mm"], row["silhouette_error"])
+            for name, row in alone.items()
         ]
-        panels.append(Panel("both images alone, processor time", tuple(points), figures["default_renderer"].text()))
-    if figures.get("range_error_mm") is not None:  # null where pyrender, which it is measured with, cannot draw
+        panels.append(Panel("both images alone, processor time", tuple(points), figures["default_renderer"]))
+    if figures["range_error_mm"] is not None:  # null where pyrender, which it is measured with, cannot draw
         speeds, plain = figures["views_per_second"], figures["plain_errors"]
         ours, baseline = (
             _rendered("bodyseg shard", _ms(speeds["ours"]), figures["range_error_mm"], figures["silhouette_error"]),
             _rendered("pyrender, PNG files", _ms(speeds["plain"]), plain["range_mm"], plain["silhouette"]),
         )
-        processes = f"{figures['workers'].number():.0f} processes"
-        panels.append(Panel(f"from bodies to files, {processes}", (ours, baseline), ours.name))
+        panels.append(Panel(f"from bodies to files, {figures['workers']} processes", (ours, baseline), ours.name))
     return tuple(panels)
 
 
-def _rendered(name: str, ms: float, range_mm: Field, silhouette: Field) -> Point:
-    label = f"{name}\n(silhouette off by {silhouette.number():.3%})".replace("%", " %")
-    return Point(name, ms, range_mm.number(), label, named=True)
+def _rendered(name: str, ms: float, range_mm: float, silhouette: float) -> Point:
+    label = f"{name}\n(silhouette off by {silhouette:.3%})".replace("%", " %")
+    return Point(name, ms, range_mm, label, named=True)
 
 
-def _shadow_test(figures: Field) -> tuple[Panel, ...]:
+def _shadow_test(figures: Figures) -> tuple[Panel, ...]:
     points, limits = [], []
-    for row in figures["methods"].rows():
-        x, family = row["us_per_view"].number(above=0), row["family"].text()
-        if family == "exact mask":
-            limits.append(Limit(row["name"].text(), x, "exact mask, stored:\nno error, for one rig"))
+    for row in figures["methods"]:
+        if row["family"] == "exact mask":
+            limits.append(Limit(row["name"], row["us_per_view"], "exact mask, stored:\nno error, for one rig"))
         else:
-            y = row["wrong_pixels"].number()
-            points.append(Point(_shadow_name(row), x, y, _shadow_label(row), family))
+            name, label = _shadow_name(row), _shadow_label(row)
+            points.append(Point(name, row["us_per_view"], row["wrong_pixels"], label, row["family"]))
     title, default = f"{len(points)} ways, ordinary views", _shadow_name(figures["default"])
     return (Panel(title, tuple(points), default, tuple(limits)),)
 
 
-def _shadow_label(row: Field) -> str:
-    scale = row["projector_scale"].number(above=0)
-    form = [] if row["form"].text() == "compiled" else ["NumPy"]
-    words = [row["name"].text(), f"{row['bias'].number():g} mm", *([f"×{scale:g}"] if scale != 1 else ()), *form]
+def _shadow_label(row: Figures) -> str:
+    scale = row["projector_scale"]
+    form = [] if row["form"] == "compiled" else ["NumPy"]
+    words = [row["name"], f"{row['bias']:g} mm", *([f"×{scale:g}"] if scale != 1 else ()), *form]
     return textwrap.fill(", ".join(words), _LABEL_LETTERS)
 
 
-def _shadow_name(row: Field) -> str:
+def _shadow_name(row: Figures) -> str:
     """Name with all settings, so that no two methods share one."""
-    bit = "facing bit" if row["facing_bit"].flag() else "no facing bit"
-    words = [row["name"].text(), f"{row['bias'].number():g} mm", f"×{row['projector_scale'].number():g}", bit]
-    former = (("slope", "slope {:g}"), ("step_mm", "steps of {:g} mm"))  # settings that were measured once
-    words += [setting.format(value.number()) for key, setting in former if (value := row.get(key)) is not None]
-    return ", ".join([*words, f"stored: {row['stored'].text()}", row["form"].text()])
+    bit = "facing bit" if row["facing_bit"] else "no facing bit"
+    words = [row["name"], f"{row['bias']:g} mm", f"×{row['projector_scale']:g}", bit]
+    return ", ".join([*words, f"stored: {row['stored']}", row["form"]])
 
 
-def _partition(figures: Field) -> tuple[Panel, ...]:
-    default, panels = figures["default"].text(), []
-    groups = [(f"open bodies ({len(figures['open'].rows())})", figures["methods"])]
-    if (frames := figures.get("mit", "frames")) is not None:  # text where no folder of frames was given
-        groups.append((f"MIT frames ({len(frames.rows())})", figures["mit"]["methods"]))
+def _partition(figures: Figures) -> tuple[Panel, ...]:
+    groups = [(f"open bodies ({len(figures['open'])})", figures["methods"])]
+    if isinstance(figures["mit"], dict):  # text where no folder of frames was given
+        groups.append((f"MIT frames ({len(figures['mit']['frames'])})", figures["mit"]["methods"]))
+    panels = []
     for name, methods in groups:
         points = [
-            Point(method, row["partition_ms"].number(above=0), row["wrong_surface"].number(), method, named=True)
-            for method, row in methods.items().items()
+            Point(method, row["partition_ms"], row["wrong_surface"], method, named=True)
+            for method, row in methods.items()
         ]
-        panels.append(Panel(name, tuple(points), default))
+        panels.append(Panel(name, tuple(points), figures["default"]))
     return tuple(panels)
 
 
@@ -118,75 +115,62 @@ _BY_SHARE: Final = "share of the triangles, given"
 _BY_TOLERANCE: Final = "tolerance given, share searched for"
 
 
-def _mesh_resolution(figures: Field) -> tuple[Panel, ...]:
+def _mesh_resolution(figures: Figures) -> tuple[Panel, ...]:
     panels = []
-    for kind, figure in figures["kinds"].items().items():
-        points, triangles = [], 0.0
-        for row in figure["shares"].rows():
-            share = row["share"].number(above=0)
-            triangles = max(triangles, row["triangles"].number())
-            name = "whole mesh" if share == 1 else f"{share:.0%} of the triangles".replace("%", " %")
-            points.append(_coarser(name, _BY_SHARE, row))
-        tolerances = figure["tolerances"].rows()
-        points += [_coarser(_within(row["tolerance_mm"]), _BY_TOLERANCE, row) for row in tolerances]
+    for kind, figure in figures["kinds"].items():
+        points = []
+        for row in figure["shares"]:
+            name = f"{row['share']:.0%} of the triangles".replace("%", " %")
+            points.append(_coarser("whole mesh" if row["share"] == 1 else name, _BY_SHARE, row))
+        tolerances = figure["tolerances"]
+        points += [_coarser(f"within {row['tolerance_mm']:g} mm", _BY_TOLERANCE, row) for row in tolerances]
+        triangles = max(row["triangles"] for row in figure["shares"])
         title = f"{_KINDS.get(kind, kind)}, {shown(triangles)} triangles"
         panels.append(Panel(title, tuple(points), "whole mesh"))
     return tuple(panels)
 
 
-def _within(tolerance: Field) -> str:
-    return f"within {tolerance.number():g} mm"
+def _coarser(name: str, family: str, row: Figures) -> Point:
+    label = name.removesuffix(" of the triangles").removeprefix("within ")
+    return Point(name, _ms(row["views_per_second"]), row["p95_mm"], label, family, named=True)
 
 
-def _coarser(name: str, family: str, row: Field) -> Point:
-    x, y = _ms(row["views_per_second"]), row["p95_mm"].number()
-    return Point(name, x, y, name.removesuffix(" of the triangles").removeprefix("within "), family, named=True)
-
-
-def _codec(figures: Field) -> tuple[Panel, ...]:
+def _codec(figures: Figures) -> tuple[Panel, ...]:
     points = [
-        Point(name, row["decode_ms"].number(above=0), row["bytes"].number(above=0), name, named=name in _NAMED_CODECS)
-        for name, row in figures["codecs"].items().items()
+        Point(name, row["decode_ms"], row["bytes"], name, named=name in _NAMED_CODECS)
+        for name, row in figures["codecs"].items()
     ]
-    views = figures["views"].number()
-    return (Panel(f"{views:.0f} samples of bare and dressed bodies", tuple(points), figures["default"].text()),)
+    return (Panel(f"{figures['views']} samples of bare and dressed bodies", tuple(points), figures["default"]),)
 
 
-def _loader(figures: Field) -> tuple[Panel, ...]:
+def _loader(figures: Figures) -> tuple[Panel, ...]:
     speeds, sizes = figures["samples_per_second"], figures["kept_bytes_per_sample"]
     panels = []
-    for workers in speeds["ours_all"].items():
-        found = {name: speeds.get(name, workers) for name in (*_LOADERS, *_LOADER_LIMITS)}  # null: not installed
+    for workers in speeds["ours_all"]:
+        found = {name: rates[workers] for name, rates in speeds.items() if rates.get(workers)}  # null: not installed
         points = [
-            Point(name, rate.number(above=0), sizes[name].number(above=0), _LOADERS[name], named=True)
-            for name, rate in found.items()
-            if rate is not None and name in _LOADERS
+            Point(name, found[name], sizes[name], title, named=True)
+            for name, title in _LOADERS.items()
+            if name in found
         ]
-        limits = [
-            Limit(name, rate.number(above=0), _LOADER_LIMITS[name])
-            for name, rate in found.items()
-            if rate is not None and name in _LOADER_LIMITS
-        ]
+        limits = [Limit(name, found[name], title) for name, title in _LOADER_LIMITS.items() if name in found]
         title = "no workers" if workers == "0" else f"{workers} workers"
         panels.append(Panel(title, tuple(points), "ours_all", tuple(limits)))
     return tuple(panels)
 
 
-def _networks(figures: Field) -> tuple[Panel, ...]:
-    networks = figures["networks"].items()
-    defaults = [name for name, row in networks.items() if row["default"].flag()]
+def _networks(figures: Figures) -> tuple[Panel, ...]:
+    networks = figures["networks"]
+    defaults = [name for name, row in networks.items() if row["default"]]
     if len(defaults) != 1:
-        raise BadConfig(f"{figures.file}: one of the networks must be the default, found {len(defaults)}")
+        raise ValueError(f"one of the networks must be the default, found {len(defaults)}")
     panels = []
     for device, key in (("CPU", "cpu_ms"), ("GPU", "gpu_ms")):
         points = []
         for name, row in networks.items():
-            time, accuracy, family = row.get(key), row["accuracy_all"], row["family"].text()
-            if time is not None:
-                mean, spread = accuracy["mean"].number(), accuracy.get("sd")
-                group, sd = _FAMILIES.get(family, family), None if spread is None else spread.number()
-                x, label = time.number(above=0), row["label"].text()
-                points.append(Point(name, x, mean, label, group, named=True, y_sd=sd))
+            if row.get(key) is not None:
+                group, score = _FAMILIES.get(row["family"], row["family"]), row["accuracy_all"]
+                points.append(Point(name, row[key], score["mean"], row["label"], group, named=True, y_sd=score["sd"]))
         if points:
             default = defaults[0] if defaults[0] in {point.name for point in points} else None
             panels.append(Panel(device, tuple(points), default))
@@ -197,13 +181,13 @@ _TESTED_ON: Final = {"people": "scans of two real people", "hard": "hard poses",
 """Test -> title of a panel."""
 
 
-def _shipped(figures: Field) -> tuple[Panel, ...]:
+def _shipped(figures: Figures) -> tuple[Panel, ...]:
     panels = []
     for test, title in _TESTED_ON.items():
-        points = []
-        for name, row in figures["networks"].items().items():
-            x, y = row["ms"]["float32"].number(above=0), row[test]["accuracy"].number()
-            points.append(Point(name, x, y, name, named=True))
+        points = [
+            Point(name, row["ms"]["float32"], row[test]["accuracy"], name, named=True)
+            for name, row in figures["networks"].items()
+        ]
         panels.append(Panel(title, tuple(points), "compact"))
     return tuple(panels)
 
@@ -216,22 +200,20 @@ _ON_REAL_FRAMES: Final = {
 """Measure -> title of a panel."""
 
 
-def _artifacts(figures: Field) -> tuple[Panel, ...]:
+def _artifacts(figures: Figures) -> tuple[Panel, ...]:
     panels = []
     for measure, title in _ON_REAL_FRAMES.items():
         points = []
-        for name, cost in figures["loader"].items().items():
-            if (score := figures.get("real", name, measure)) is not None:
-                sd = None if (spread := score.get("sd")) is None else spread.number()
-                x, y = cost["ms"].number(above=0), score["mean"].number()
-                points.append(Point(name, x, y, name, named=True, y_sd=sd))
+        for name, cost in figures["loader"].items():
+            if (score := figures["real"].get(name, {}).get(measure)) is not None:
+                points.append(Point(name, cost["ms"], score["mean"], name, named=True, y_sd=score["sd"]))
         if len(points) > 1:
             panels.append(Panel(title, tuple(points), "all" if any(point.name == "all" for point in points) else None))
     return tuple(panels)
 
 
-def _ms(per_second: Field) -> float:
-    return round(1000 / per_second.number(above=0), 4)
+def _ms(per_second: float) -> float:
+    return round(1000 / per_second, 4)
 
 
 _NETWORKS: Final = Choice(

@@ -6,15 +6,18 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from benches.charts.choice import Choice, Panel
-from benches.charts.fields import Field, read_fields
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_json
 
 FOLDER: Final = "processors"
 HEAD: Final = ("folder", "name")
 """What a record says of a processor itself."""
+
+ORIGIN: Final = ("command", "commit", "hardware")
+"""What every file of figures says of itself."""
 
 _HARDWARE: Final = re.compile(r"(\d+) cores? of (.+?)(?: \(|$)")
 
@@ -36,14 +39,26 @@ def folder_name(hardware: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", processor_name(hardware).lower()).strip("-")
 
 
-def figures_of(results: Path, bench: str) -> list[Field]:
+class Measured(NamedTuple):
+    """A file of figures."""
+
+    file: Path
+    content: dict[str, Any]
+
+
+def figures_of(results: Path, bench: str) -> list[Measured]:
     """Figures of a bench in a folder of results: those of the folder itself, then those of each processor by name.
 
     Raises BadConfig for a file that is damaged or lies in the folder of another processor.
     """
     alone = results / f"{bench}.json"
-    found = [read_fields(alone)] if alone.exists() else []
-    return found + [_of_processor(file) for file in sorted((results / FOLDER).glob(f"*/{bench}.json"))]
+    found = [Measured(alone, read_json(alone))] if alone.exists() else []
+    found += [_of_processor(file) for file in sorted((results / FOLDER).glob(f"*/{bench}.json"))]
+    for file, content in found:
+        missing = [name for name in ORIGIN if not isinstance(content.get(name), str)]
+        if missing:
+            raise BadConfig(f"{file} must say its {', '.join(missing)}")
+    return found
 
 
 def by_processor(results: Path) -> list[dict[str, Any]]:
@@ -53,31 +68,28 @@ def by_processor(results: Path) -> list[dict[str, Any]]:
     """
     records: dict[str, dict[str, Any]] = {}
     for file in sorted((results / FOLDER).glob("*/*.json")):
-        fields = _of_processor(file)
-        record = records.setdefault(file.parent.name, _head(fields))
-        record[file.stem] = fields.value
+        figures = _of_processor(file).content
+        head = (file.parent.name, processor_name(figures["hardware"]))
+        records.setdefault(file.parent.name, dict(zip(HEAD, head, strict=True)))[file.stem] = figures
     return list(records.values())
 
 
-def panels_of(choice: Choice, figures: Sequence[Field]) -> tuple[Panel, ...]:
+def panels_of(choice: Choice, figures: Sequence[Measured]) -> tuple[Panel, ...]:
     """A choice's panels from the figures of each processor; where there are several, its name leads the panel's.
 
     Raises BadConfig as `Choice.panels` does.
     """
     panels = []
     for one in figures:
-        head = f"{processor_name(one['hardware'].text())}: " if len(figures) > 1 else ""
-        panels += [replace(panel, name=head + panel.name) for panel in choice.panels(one)]
+        head = f"{processor_name(one.content['hardware'])}: " if len(figures) > 1 else ""
+        panels += [replace(panel, name=head + panel.name) for panel in choice.panels(one.content, one.file)]
     return tuple(panels)
 
 
-def _head(fields: Field) -> dict[str, Any]:
-    return dict(zip(HEAD, (fields.file.parent.name, processor_name(fields["hardware"].text())), strict=True))
-
-
-def _of_processor(file: Path) -> Field:
-    fields = read_fields(file)
-    wanted = folder_name(fields["hardware"].text())
+def _of_processor(file: Path) -> Measured:
+    content = read_json(file)
+    hardware = str(content.get("hardware"))
+    wanted = folder_name(hardware)
     if file.parent.name != wanted:
-        raise BadConfig(f"{file} was measured on {fields['hardware'].text()}: it belongs into {FOLDER}/{wanted}")
-    return fields
+        raise BadConfig(f"{file} was measured on {hardware}: it belongs into {FOLDER}/{wanted}")
+    return Measured(file, content)

@@ -45,11 +45,12 @@ def _panel(choice: Choice, panel: Panel) -> dict[str, Any]:
         ],
         "front": best,
         "points": [_point(point, point.name in best) for point in panel.points],
-        "limits": [{"name": limit.name, "x": limit.x} for limit in panel.limits],
+        "limits": [{"name": limit.name, "x": float(limit.x)} for limit in panel.limits],
     }
 
 
 def _point(point: Point, on_front: bool) -> dict[str, Any]:
     spread = {} if point.y_sd is None else {"y_sd": point.y_sd}
     label = point.label.replace("\n", " ")
-    return {"name": point.name, "label": label, "x": point.x, "y": point.y, **spread, "on_front": on_front}
+    place = {"x": float(point.x), "y": float(point.y)}
+    return {"name": point.name, "label": label, **place, **spread, "on_front": on_front}

@@ -9,7 +9,7 @@ from typing import Any
 
 from benches.charts.choices import CHOICES
 from benches.charts.drawing import Picture, draw
-from benches.charts.processors import figures_of, panels_of
+from benches.charts.processors import ORIGIN, figures_of, panels_of
 from benches.charts.report import described
 from benches.results.page import render_page
 from bodyseg_data.commands import option
@@ -53,8 +53,7 @@ def run(options: Options) -> int:
             left_out[choice.name] = f"nothing to compare in {', '.join(str(one.file) for one in figures)}"
             continue
         sources = [
-            {"file": one.file.relative_to(options.in_).as_posix()}
-            | {name: one[name].text() for name in ("command", "commit", "hardware")}
+            {"file": one.file.relative_to(options.in_).as_posix()} | {name: one.content[name] for name in ORIGIN}
             for one in figures
         ]
         drawn[choice.name] = draw(choice, panels, sources)

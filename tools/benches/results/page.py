@@ -29,12 +29,12 @@ from typing import Any, Final
 
 from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
 
-from benches.charts.fields import read_fields
 from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
 from benches.charts.stability_tables import FORMAT, tables
 from benches.results.outdated import outdated, stale_results
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_json
 
 _SOURCES: Final = "sources"
 _OUTDATED: Final = "outdated"
@@ -51,9 +51,7 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
     """
     given = dict(values or {})
     names = _variables(template)
-    files = {
-        name: _with_tables(read_fields(folder / f"{name}.json").value) for name in sorted(names - _SPECIAL - {*given})
-    }
+    files = {name: _with_tables(read_json(folder / f"{name}.json")) for name in sorted(names - _SPECIAL - {*given})}
     processors = by_processor(folder) if FOLDER in names else []
     given[FOLDER] = processors
     read = files | {
