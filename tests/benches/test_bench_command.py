@@ -45,6 +45,8 @@ def test_figures_that_do_not_fit_on_the_disk_are_one_line_and_leave_nothing(
         (["partition", "--views", "3"], "bench partition measures whole bodies: leave --views out"),
         (["codec", "--results", "x", "--json", "x.json"], "--results names both files: leave --json and --figure out"),
         (["codec", "--results", "nowhere"], "--results must be a folder, found nowhere"),
+        (["codec", "--views", "0"], "--views must be a whole number of at least 1, found 0"),
+        (["steady", "--data", "x", "--views", "1"], "--views must be a whole number of at least 2, found 1"),
         (["clothes", "--figure", "x.png"], "bench clothes draws no figure: leave --figure out"),
     ],
 )

@@ -5,14 +5,15 @@ from __future__ import annotations
 import importlib
 import json
 import sys
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benches.charts.processors import FOLDER, folder_name
 from benches.measuring import Conditions
 from bodyseg_data.commands import Progress, check_target, flag_of, option, provenance
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.drawing import check_picture, new_chart
 from bodyseg_data.files import make_folder, write_json
 from bodyseg_data.machine import hardware
@@ -26,7 +27,7 @@ class Bench:
 
     module: the one below `benches` whose `bench_NAME` measures. figure: the module beside it whose `draw_NAME` draws
     the results, if there is one. views: meaning of --views, and its default; None if the option is not taken.
-    required, optional: names of further options.
+    required, optional: names of further options. least: of its numbers, where that is not 1.
     """
 
     module: str
@@ -34,6 +35,7 @@ class Bench:
     views: str | None = None
     required: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
+    least: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def accepted(self) -> tuple[str, ...]:
@@ -43,7 +45,7 @@ class Bench:
 
 BENCHES: Final = {
     "occlusion": Bench("data.occlusion.bench", "figure", "views in all, 60"),
-    "quantisation": Bench("data.occlusion.quantisation", "quantisation_figure", "views of each step, 40"),
+    "quantisation": Bench("data.occlusion.quantisation", None, "views of each step, 40"),
     "borders": Bench("data.surface.borders", "borders_figure", "views of each body, 12"),
     "partition": Bench("data.surface.partition", "partition_figure", optional=("mit",)),
     "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),
@@ -104,13 +106,21 @@ BENCHES: Final = {
         "typical frames, 12",
         required=("data", "runs"),
         optional=("images", "forest"),
+        least={"forest": 0},
     ),
     "ablation": Bench(
         "model.ablation.bench", "figure", required=("data", "runs"), optional=("images", "hard", "clothes")
     ),
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
     "motion": Bench("model.motion", required=("data", "runs")),
-    "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs", "flip_average")),
+    "steady": Bench(
+        "model.real.steady",
+        None,
+        "frames, 100",
+        required=("data",),
+        optional=("runs", "flip_average"),
+        least={"views": 2},
+    ),
     "dense": Bench(
         "model.dense",
         "dense_figure",
@@ -120,8 +130,15 @@ BENCHES: Final = {
     ),
     "shuffles": Bench("model.shuffles", required=("data",), optional=("seeds", "steps", "images")),
     "harm": Bench("model.harm", required=("data",), optional=("runs", "images")),
-    "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
-    "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
+    "training": Bench("model.training_speed", required=("data",), optional=("steps",), least={"steps": 4}),
+    "gpu": Bench(
+        "model.gpu",
+        None,
+        "samples of a pass, 2000",
+        required=("data",),
+        optional=("num_workers", "steps"),
+        least={"steps": 4},
+    ),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
     "mining": Bench(
         "model.failures.mining",
@@ -221,10 +238,13 @@ class Options:
     )
 
 
+_COUNTED: Final = ("views", "seeds", "steps", "images", "forest", "poses", "together")
+"""Options that are whole numbers."""
+
 _OF_ALL: Final = ("what", "json", "figure", "results")
 """Options that all benches accept."""
 
-_FLAGS: Final = {field.name: flag_of(field) for field in fields(Options)}
+_FLAGS: Final = {each.name: flag_of(each) for each in fields(Options)}
 
 
 def run(options: Options) -> int:
@@ -292,12 +312,15 @@ def _check(options: Options) -> None:
         new_chart(1, 1)  # what cannot be drawn should not be found out after hours
     if options.json is not None:
         check_target(options.json, "--json")
-    for name in (field.name for field in fields(options)):
+    for name in (each.name for each in fields(options)):
         if name in (*_OF_ALL, *bench.accepted) or not _is_given(getattr(options, name)):
             continue
         if name == "views" and not bench.module.startswith("model."):
             raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")
         raise BadConfig(f"{_FLAGS[name]} is for bench {_takers(name)}, found it with bench {options.what}")
+    for name in _COUNTED:
+        if (value := getattr(options, name)) is not None:
+            check_int(_FLAGS[name], value, bench.least.get(name, 1))
     for name in bench.required:
         if not _is_given(getattr(options, name)):
             raise BadConfig(f"bench {options.what} needs {_FLAGS[name]}")

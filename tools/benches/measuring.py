@@ -1,4 +1,4 @@
-"""Repeated timing, its conditions, and choices spread over a set, as all benches use them."""
+"""Figures, repeated timing, its conditions, and choices spread over a set, as all benches use them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,15 @@ from typing import Any, Final, TypeVar
 from bodyseg_data.core import ProgressCallback
 
 _T = TypeVar("_T")
+
+
+class Figures(dict[str, Any]):
+    """Figures of a bench, and beside them, for its picture alone, what no file holds, such as labelled frames."""
+
+    def __init__(self, content: dict[str, Any], shown: Any) -> None:
+        super().__init__(content)
+        self.shown = shown
+
 
 _STRIDE: Final = 23  # has no divisor in common with 54 views, so few of them already mix azimuths and distances
 _SIBLINGS: Final = Path("/sys/devices/system/cpu/cpu0/topology/thread_siblings_list")
@@ -60,9 +69,6 @@ class Conditions:
 
     def __init__(self) -> None:
         self._before = _load()
-
-    def __repr__(self) -> str:
-        return f"Conditions(load_before={self._before})"
 
     def to_json(self) -> dict[str, Any]:
         """threads_per_core: processors of the system that share one core, None where it does not say.

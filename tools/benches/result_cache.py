@@ -78,9 +78,6 @@ class SourceTree:
         self._packages, self._versions = dict(packages), versions
         self._sources: dict[str, _Source] = {}
 
-    def __repr__(self) -> str:
-        return f"SourceTree({', '.join(sorted(self._packages))})"
-
     def digest(self, modules: Iterable[str]) -> str:
         """Digest of the modules in `imported_by(modules)`, 32 hexadecimal digits.
 
@@ -351,9 +348,6 @@ class ResultCache:
         self._subject = _as_json(subject)
         self._modules = sorted(set(modules))
         self._code = code_digest(*self._modules)
-
-    def __repr__(self) -> str:
-        return f"ResultCache({str(self._file)!r}, code {self._code})"
 
     def get(self, query: Mapping[str, Any]) -> dict[str, Any] | None:
         """Get the result of a query; None if it is missing, altered, or of other code.

@@ -29,12 +29,9 @@ def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["equal"]
     one, two = found["clusters"]
     assert (one["workers"], two["workers"]) == (1, 2)
-    assert one["share_of_linear"] == 1
-    assert two["share_of_linear"] == pytest.approx(one["seconds"] / two["seconds"] / 2, rel=0.05)
     for row in (one, two):
         assert row["worker_ms"] > 0
         assert set(row["idle_ms"]) == {"worker", "scheduler", "packer"}
-        assert row["scheduler_ms_a_job"] == pytest.approx(2 * row["scheduler_ms"], abs=1e-3)
         assert row["predicted_s"] > 0
     assert 100 < found["job_bytes"] < found["result_bytes"]
 

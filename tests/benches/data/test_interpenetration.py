@@ -65,6 +65,6 @@ def test_the_bench_reports_every_group(monkeypatch: pytest.MonkeyPatch, open_bod
     assert set(figures["groups"]) == {"A", "B squat"} and figures["bodies"] == 2 and figures["views"] == 5
     assert steps == [(1, 2), (2, 2)]
     assert figures["groups"]["A"] == {
-        "bodies": 1, "fold_mm": pytest.approx(9, abs=15), "contact_mm": 0, "contact_at": None,
+        "bodies": 1, "fold_mm": pytest.approx(9, abs=15), "contact_mm": 0,
         "over_10_mm": 0.0, "over_20_mm": 0.0, "dressed_contact_mm": 0,
     }  # fmt: skip

@@ -25,7 +25,6 @@ from small_rig import SMALL
 
 from bodyseg_data.artifacts import ShadowTest
 from bodyseg_data.bodies import Body, BodyRef
-from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import load_rig
@@ -124,11 +123,6 @@ def test_the_bench_writes_what_it_promises(figures: dict[str, Any]) -> None:
     forms = {row["form"] for row in maps}
     assert forms == ({"numpy", "compiled"} if find_spec("numba") else {"numpy"})
     assert figures["default"]["form"] == ("compiled" if find_spec("numba") else "numpy")
-
-
-def test_the_bench_needs_a_view() -> None:
-    with pytest.raises(BadConfig, match="at least one view must be measured, found 0"):
-        bench_occlusion(0)
 
 
 def test_chart_and_worst_errors_are_drawn(

@@ -16,7 +16,6 @@ from shapes import figure
 from small_rig import SMALL
 
 from bodyseg_data.bodies import SOURCES, Body, BodyRef
-from bodyseg_data.core import BadConfig
 
 BODY = Body(figure(), np.linspace(0, len(figure().vertices) - 1, 33).astype(np.int64))  # some on every piece
 
@@ -81,8 +80,3 @@ def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
         for half in ((0.0, 0.5), (0.5, 1.0)):
             assert marks(part(picture, across=half), _COLOURS[kind], 20), (kind, half)
     assert not marks(picture, _COLOURS["mit"], 60), "no MIT frames were measured"
-
-
-def test_at_least_one_view_is_needed() -> None:
-    with pytest.raises(BadConfig, match="at least one view must be measured, found 0"):
-        benches.bench_reduction(0)

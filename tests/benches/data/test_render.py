@@ -10,13 +10,11 @@ from benches.data.render import alone as render_alone
 from benches.data.render import packing as render_packing
 from benches.data.render import steps as render_steps
 from benches.data.render.alone import PLAIN, measure_renderers, true_range
-from benches.data.render.bench import bench_render
 from benches.data.render.figure import _STAGES, draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
 from people_on_disk import write_by_vertex, write_mesh
 from pictures import decoded, marks
 
-from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.packing import Packing
 from bodyseg_data.rigs import PlacedCamera, axes_at
@@ -26,11 +24,6 @@ pytestmark = pytest.mark.usefixtures("quick_geodesics")
 
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
 VIEWS = list(PACKING.views)
-
-
-def test_no_views_are_refused() -> None:
-    with pytest.raises(BadConfig, match="at least one view must be measured, found 0"):
-        bench_render(views=0)
 
 
 def test_every_step_makes_the_same_images() -> None:

@@ -165,7 +165,3 @@ def test_there_must_be_runs(run: Make, tmp_path: Path, figures_set: Path) -> Non
         groups_in(())
     with pytest.raises(BadConfig, match="--runs must be folders of trainings, found .*nowhere"):
         groups_in((tmp_path / "nowhere",))
-    with pytest.raises(BadConfig, match="the number of test images must be a whole number of at least 1, found 0"):
-        bench_architectures(str(figures_set), (folder,), 0)
-    with pytest.raises(BadConfig, match="the number of the forest's images must be a whole number of at least 0"):
-        bench_architectures(str(figures_set), (folder,), forest=-1)

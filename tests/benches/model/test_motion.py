@@ -77,7 +77,6 @@ def metres_of(pixels: int, depth_m: float) -> float:
 def test_each_pixel_follows_itself() -> None:
     body = seen(figure())
     assert len(body.pixels) > 20_000
-    assert repr(body) == f"RenderedBody({body.mesh.name!r}, {len(body.pixels)} pixels)"
     np.testing.assert_array_equal(follow(body, body), body.pixels)
 
 
@@ -381,11 +380,6 @@ def test_the_seed_is_that_of_the_artifacts() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"shots": 0}, "the number of shots must be a whole number of at least 1"),
-        ({"window": 1}, "the frames of a window must be a whole number of at least 2"),
-        ({"frames": 1}, "the frames of a shot must be a whole number of at least 2"),
-        ({"frames": 7}, "a shot .* found 7 frames and a window of 8"),
-        ({"variants": ()}, "temporal consistency needs at least one variant, found none"),
         ({"variants": ("some",)}, "the variant must be one of"),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -137,12 +136,6 @@ def test_threads_are_one_but_where_two_are_tried_and_then_as_before(images: Rang
     assert torch.get_num_threads() == 2
     assert sorted(seen) == [1] * (len(seen) - 2) + [2, 2]
     assert found["two threads"]["changed"] == 1 and found["bf16, autocast"]["changed"] == 0
-
-
-@pytest.mark.parametrize("count", [0, -1, 1.5])
-def test_there_must_be_images(images: RangeImages, count: Any) -> None:
-    with pytest.raises(BadConfig, match="the number of images must be a whole number of at least 1"):
-        numerical(Close(), images, count)
 
 
 def test_something_must_be_measured(shards: Path) -> None:

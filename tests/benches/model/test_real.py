@@ -18,13 +18,14 @@ pytest.importorskip("skimage")
 pytest.importorskip("embreex")
 pytest.importorskip("pygeodesic")
 
+from benches.measuring import Figures  # noqa: E402
 from benches.model import chosen  # noqa: E402
 from benches.model.real import bench, steady  # noqa: E402
 from benches.model.real import labels as surface_labelling  # noqa: E402
 from benches.model.real.agreement import agreement  # noqa: E402
-from benches.model.real.bench import Results, bench_real, settled  # noqa: E402
+from benches.model.real.bench import bench_real, settled  # noqa: E402
 from benches.model.real.figure import draw_real  # noqa: E402
-from benches.model.real.fusion import FusedSurface, fitted, fuse, residuals_m  # noqa: E402
+from benches.model.real.fusion import FusedSurface, fitted, fuse, residual_m  # noqa: E402
 from benches.model.real.labels import (  # noqa: E402
     KINECT_V1,
     Placements,
@@ -124,7 +125,7 @@ def test_the_fused_surface_is_the_body(body: Mesh, frames: list[Frame], fused: F
     assert np.quantile(away, 0.99) < 0.012  # the body's own vertices are 11 mm apart
     facing = (fused.normals * body.vertex_normals[nearest]).sum(axis=1)
     assert np.quantile(facing, 0.02) > 0.9  # outwards
-    assert np.median(residuals_m(frames, fused)) < 0.001
+    assert residual_m(frames, fused) < 0.001
     rim = fused.vertices[fused.rim]
     assert len(rim) > 50 and (rim[:, 1] > 0.1).all()
     assert fused.vertices[:, 1].min() < -0.38  # the top is closed or its boundary is no rim
@@ -138,9 +139,8 @@ def test_fitting_brings_moved_cameras_back(frames: list[Frame], fused: FusedSurf
         placed = PlacedCamera(LENS, frame.placed.axes @ turn, frame.placed.position + random.normal(0, 0.004, 3))
         moved.append(replace(frame, placed=placed))
     found = fitted(moved, fused)
-    before, after = residuals_m(moved, fused), residuals_m(found, fused)
-    assert (after < 0.5 * before).all()
     for frame, wrong, right in zip(frames, moved, found, strict=False):
+        assert residual_m([right], fused) < 0.5 * residual_m([wrong], fused)
         error = [np.abs(one.points() - frame.points()).mean() for one in (wrong, right)]
         assert error[1] < 0.5 * error[0]
 
@@ -234,8 +234,6 @@ def test_agreement_counts_points_that_two_frames_see(frames: list[Frame]) -> Non
     found = agreement(frames, by_place, lambda done, total: steps.append((done, total)))
     assert found["same"] > 0.97 and steps[-1] == (TURNS, TURNS)
     assert found["within_30_mm"] == found["within_60_mm"] == 1, "the frames differ at the border alone"
-    assert list(found["by_angle"]) == ["0 to 15 degrees", "15 to 30 degrees", "30 to 45 degrees"]
-    assert found["by_angle"]["0 to 15 degrees"] is None  # frames are 20 degrees apart
     strange = agreement(frames, by_frame)
     assert strange["same"] == strange["within_60_mm"] == 0
     apart = agreement(frames[::3], by_place[::3])  # 60 degrees
@@ -274,7 +272,7 @@ def coarse() -> Iterator[pytest.MonkeyPatch]:
 @pytest.fixture(scope="module")
 def measured(
     body: Mesh, frames: list[Frame], coarse: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
-) -> Results:
+) -> Figures:
     folder = tmp_path_factory.mktemp("recording") / "made"
     write(folder, frames, body)
     steps: list[tuple[int, int]] = []
@@ -283,7 +281,7 @@ def measured(
     return figures
 
 
-def test_what_the_bench_finds(measured: Results, tmp_path: Path) -> None:
+def test_what_the_bench_finds(measured: Figures, tmp_path: Path) -> None:
     figures = measured
     assert (figures["recording"], figures["frames"], figures["network"]) == ("made", 9, "shipped")
     assert figures["mirrored"] == {"frames": False, "shadow": None}
@@ -293,7 +291,6 @@ def test_what_the_bench_finds(measured: Results, tmp_path: Path) -> None:
     assert 0 < figures["scores"]["pixel_accuracy"] < 0.5  # labels by columns of the view
     assert figures["scores"]["calibration_error"] > 0.5  # this network is always sure
     assert 0.5 < figures["scores"]["share_of_the_person"] < 1
-    assert figures["agreement_of_truth"]["same"] > 0.95
     gross = figures["scores"]["gross_errors"]
     assert 0.1 < gross["beyond_60_mm"] < gross["beyond_30_mm"] < 1 - figures["scores"]["pixel_accuracy"]
     assert figures["gross_errors_by_placement"] == dict.fromkeys(("mean", "first", "second"), gross), "placed alike"
@@ -306,7 +303,7 @@ def test_what_the_bench_finds(measured: Results, tmp_path: Path) -> None:
 def test_a_mirrored_recording_has_the_same_scores(
     body: Mesh,
     frames: list[Frame],
-    measured: Results,
+    measured: Figures,
     coarse: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:

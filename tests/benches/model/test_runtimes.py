@@ -34,8 +34,7 @@ def test_every_backend_is_timed_and_scored(small_set: Path, tmp_path: Path, monk
     assert 0 < found["networks"]["onnxruntime int8"]["labels_that_differ"] < 0.1
     assert found["test_images"] == 3
     for row in found["times"]:
-        assert row["networks"][REFERENCE]["times_as_fast"] == 1
-        assert all(each["ms"] > 0 and each["processor_ms"] > 0 for each in row["networks"].values())
+        assert all(each["ms"] > 0 for each in row["networks"].values())
     draw_runtimes(found, tmp_path / "runtimes.png")
     picture = decoded(tmp_path / "runtimes.png")
     row = [row for row in found["times"] if row["frame"] == "filled"][-1]

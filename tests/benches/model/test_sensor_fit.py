@@ -13,8 +13,6 @@ from benches.model.sensor_fit.recordings import Scene
 from fakes import Figures
 from pictures import decoded, marks
 
-from bodyseg_data.core import BadConfig
-
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
@@ -54,8 +52,3 @@ def test_figures_that_are_not_found_are_counted() -> None:
     summary = summarise([{"scene": "1 still", "figures": errors, "others_needed": ["noise"]}])
     wanted = {"figures": 3, "within": 1, "beyond": 1, "not_found": 1, "median_error": 0.175, "others_needed": 1}
     assert summary == {"1 still": wanted}
-
-
-def test_there_must_be_a_body() -> None:
-    with pytest.raises(BadConfig, match="the number of bodies must be a whole number of at least 1"):
-        bench_sensor_fit(0)

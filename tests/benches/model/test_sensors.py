@@ -16,7 +16,6 @@ from label_networks import Places
 from pictures import decoded, marks, part
 from shapes import figure
 
-from bodyseg_data.core import BadConfig
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import frame_camera
@@ -69,8 +68,3 @@ def test_a_camera_looks_past_a_body_to_the_right() -> None:
     assert abs(across[0]) < 10
     assert across[20] == pytest.approx(-525 * np.tan(np.radians(20)), abs=15)
     assert across[-20] == pytest.approx(525 * np.tan(np.radians(20)), abs=15)
-
-
-def test_there_must_be_a_body() -> None:
-    with pytest.raises(BadConfig, match="the number of bodies must be a whole number of at least 1"):
-        bench_sensors(0)

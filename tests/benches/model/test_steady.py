@@ -16,7 +16,6 @@ from benches.model.real.recording import Frame
 from benches.model.real.steady import ALONE, WAYS, changes, labelled, point_labels, ratio_of, table
 from label_networks import Places
 
-from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, PlacedCamera, load_rig
 from bodyseg_model.networks import Trained
@@ -114,5 +113,3 @@ def test_the_bench_joins_both(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["still"]["recording"] == "made" and found["moving"]["ways"]["none"]["ratio"] == 0.889
     assert len(found["tables"]["steady"]) == len(WAYS) and found["carrying"] == asdict(Carrying())
     json.dumps(found)
-    with pytest.raises(BadConfig, match="the number of frames must be"):
-        steady.bench_steady("folder/made", 1)

@@ -63,5 +63,3 @@ def test_what_a_training_says_is_passed_on(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(Way, "command", lambda way, data, steps, out: saying)  # a training takes seconds to say it
     with pytest.raises(BadConfig, match=r"^a training failed: no shards in nowhere$"):
         bench_training(str(tmp_path / "nowhere"), 4)
-    with pytest.raises(BadConfig, match="the steps of a training"):
-        bench_training(str(tmp_path), 3)

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.measuring import Figures
 from benches.model.ablation import costs
 from benches.model.variants import bench as variants_bench
 from benches.model.variants import runs as variants_runs
 from benches.model.variants import scores
-from benches.model.variants.bench import Results, bench_variants
+from benches.model.variants.bench import bench_variants
 from benches.model.variants.claims import claims
 from benches.model.variants.figure import _STYLES, draw_variants
 from benches.model.variants.scores import SWEEPS, Condition, Sweep
@@ -78,12 +79,12 @@ def one_run(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.fixture(scope="module")
-def measured(figures_set: Path, one_run: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Results]:
+def measured(figures_set: Path, one_run: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Figures]:
     folder = shutil.copytree(one_run, tmp_path_factory.mktemp("measured") / "runs")
     return folder, bench_variants(str(figures_set), (folder,), seeds=1, images=IMAGES)
 
 
-def test_every_network_meets_every_test_set(figures_set: Path, measured: tuple[Path, Results]) -> None:
+def test_every_network_meets_every_test_set(figures_set: Path, measured: tuple[Path, Figures]) -> None:
     folder, figures = measured
     assert list(figures["table"]) == list(VARIANTS)
     for train_on, test_on in (("all", "noise"), ("noise", "md"), ("none", "none")):
@@ -107,12 +108,11 @@ def test_every_network_meets_every_test_set(figures_set: Path, measured: tuple[P
     assert (scale["steps"], scale["images_a_step"], scale["seeds"]) == (STEPS, 2, 1)
     assert (scale["test_images"], scale["test_images_of"], scale["train_images"]) == (IMAGES, 8, 16)
     assert [row["name"] for row in figures["networks"]] == [f"{name}-0" for name in VARIANTS]
-    assert set(figures["subsets"]["all"]) <= {"A", "people"}
     assert json.loads(json.dumps(figures)) == figures
 
 
 def test_networks_scored_together_get_the_same_scores(
-    figures_set: Path, measured: tuple[Path, Results], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    figures_set: Path, measured: tuple[Path, Figures], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "runs"
     for variant in ("none", "all"):
@@ -170,9 +170,6 @@ def test_noise_of_a_grain_is_equal_over_squares(figures_set: Path) -> None:
             {"runs": (Path("a"),), "only_finished": True},
             "--only-finished needs finished trainings VARIANT-SEED, found none in a",
         ),
-        ({"seeds": 0}, "the number of seeds must be a whole number of at least 1, found 0"),
-        ({"together": 0}, "the number of processes together must be a whole number of at least 1, found 0"),
-        ({"images": 0}, "the number of test images must be a whole number of at least 1, found 0"),
         ({"steps": STEPS + 1}, "noise-0 is a training of 2 steps, --steps asks for 3"),
     ],
 )
@@ -366,7 +363,7 @@ def test_further_artifacts_are_judged_by_their_own_images_and_against_all() -> N
 
 
 def test_finished_trainings_are_compared_with_others_of_their_recipe(
-    figures_set: Path, measured: tuple[Path, Results], one_run: Path, tmp_path: Path
+    figures_set: Path, measured: tuple[Path, Figures], one_run: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "runs"
     for name in ("none-0", "all-0"):
@@ -407,7 +404,7 @@ def test_finished_trainings_are_compared_with_others_of_their_recipe(
         bench_variants(str(figures_set), (folder, tmp_path / "paper"), only_finished=True)
 
 
-def test_the_figure_is_drawn(measured: tuple[Path, Results], tmp_path: Path) -> None:
+def test_the_figure_is_drawn(measured: tuple[Path, Figures], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_variants(measured[1], tmp_path / "variants.png")
     picture = part(decoded(tmp_path / "variants.png"), down=(0, 0.9))  # without the legend

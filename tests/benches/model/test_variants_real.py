@@ -13,8 +13,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("scipy")
 
+from benches.measuring import Figures  # noqa: E402
 from benches.model.variants import real  # noqa: E402
-from benches.model.variants.bench import Results  # noqa: E402
 from benches.model.variants.figure import _real_frames  # noqa: E402
 from benches.model.variants.real import ARMS, LABELLED, POSED, RECORDINGS, ROOM, RealFrames  # noqa: E402
 from label_networks import Places  # noqa: E402
@@ -146,7 +146,7 @@ def test_frames_are_drawn_with_the_labels_of_every_network(
         RECORDINGS[name] for name in (LABELLED, LABELLED, POSED, ARMS, ARMS, ROOM)
     ]
     assert list(shown[0].labels) == ["true labels", "none", "all"] and list(shown[-1].labels) == ["none", "all"]
-    picture = np.asarray(_real_frames(Results({}, shown).shown))
+    picture = np.asarray(_real_frames(Figures({}, shown).shown))
     colours = [np.unique(picture[:400, left : left + 170].reshape(-1, 3), axis=0) for left in (6, 182, 358)]
     assert len(colours[0]) != len(colours[1])  # two parts, one part
     np.testing.assert_array_equal(picture[60:150, 182:352], picture[60:150, 358:528])

@@ -99,10 +99,6 @@ class Tab:
             self._mouse("mouseMoved", x + (to_x - x) * step / steps, y + (to_y - y) * step / steps)
         self._mouse("mouseReleased", to_x, to_y)
 
-    def click(self, x: float, y: float) -> None:
-        """Click at a point of the window, x and y in pixels."""
-        self.drag((x, y), (x, y), 1)
-
     def _mouse(self, kind: str, x: float, y: float) -> None:
         self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 

@@ -24,13 +24,13 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
 from benches.landmarks.fitting_body import fitting_body
-from benches.measuring import counter
+from benches.measuring import Figures, counter
 from benches.model.chosen import chosen_network
 from benches.model.people.bodies import TABLE_SUFFIX, Annotated, annotated_bodies
 from benches.model.people.scores import packed_views
 from bodyseg_data import RangeImages, load_template
 from bodyseg_data.bodies import open_source
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, NOWHERE, TEMPLATE
 from bodyseg_data.meshes import vertex_normals
 from bodyseg_data.rigs import load_rig
@@ -62,12 +62,6 @@ class Shown(NamedTuple):
     found: NDArray[np.uint16]
 
 
-class Dense(dict[str, Any]):
-    """Figures of `bench_dense`. pictures: images to draw, with the answers of the last network that gives any."""
-
-    pictures: list[Shown]
-
-
 def bench_dense(
     data: str,
     runs: Sequence[Path] = (),
@@ -76,15 +70,14 @@ def bench_dense(
     people: Path | None = None,
     views: int = 6,
     progress: ProgressCallback = silent,
-) -> Dense:
+) -> Figures:
     """Measure networks, of which some tell places on the template, on test images with the column `template`.
 
     data, hard: sets with that column; images: of each, evenly; hard: None for none. people: folder of annotated bodies
     (`annotated_bodies`), None for none; views: of each. runs: trainings; without, the shipped network. Errors are
     distances along the template between true and found points, mm. Raises BadConfig for sets without the column, and
-    as `load_network` and `pack`.
+    as `load_network` and `pack`. Shown: images to draw, with the answers of the last network that gives any.
     """
-    check_int("the number of test images", images, 1)
     networks = dict(chosen_network([run]) for run in runs) if runs else {"shipped": load_network(dense=True)}
     sets = {name: address for name, address in (("open", data), ("hard", hard)) if address is not None}
     opened = {
@@ -92,25 +85,23 @@ def bench_dense(
         for name, address in sets.items()
         for variant in VARIANTS
     }
-    results = Dense(template=load_template().name, pixels_an_image=_PIXELS, networks={name: {} for name in networks})
-    results.pictures = []
+    rows_of: dict[str, dict[str, Any]] = {name: {} for name in networks}
+    pictures: list[Shown] = []
     with tempfile.TemporaryDirectory() as folder:
         bodies = annotated_bodies(people, _POSES) if people else []
         tick = counter(progress, len(networks) * (len(opened) * images + len(VARIANTS) * views * len(bodies)))
         seen = _landmark_views(bodies, views, Path(folder)) if bodies else {}
         for name, trained in networks.items():
-            rows = results["networks"][name]
+            rows = rows_of[name]
             if trained.network.on_template:
-                results.pictures = []
+                pictures = []
             for (of_set, variant), shown in opened.items():
-                rows.setdefault(of_set, {})[variant] = _on_set(
-                    trained.network, shown, images, of_set, results.pictures, tick
-                )
+                rows.setdefault(of_set, {})[variant] = _on_set(trained.network, shown, images, of_set, pictures, tick)
             if trained.network.on_template:
                 rows["times_as_long"] = _times_as_long(trained.network, next(iter(opened.values())))
             for variant, found in seen.items():
-                rows.setdefault("people", {})[variant] = _on_people(trained.network, found, results.pictures, tick)
-    return results
+                rows.setdefault("people", {})[variant] = _on_people(trained.network, found, pictures, tick)
+    return Figures({"template": load_template().name, "pixels_an_image": _PIXELS, "networks": rows_of}, pictures)
 
 
 def _on_set(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from benches.model.dense import Dense, Shown
+from benches.measuring import Figures
+from benches.model.dense import Shown
 from bodyseg_data import load_template
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import INK, PAPER, font, save_picture
@@ -24,14 +25,12 @@ _LINES_M: Final = 0.1  # between the dark lines that are drawn across bodies, so
 _EMPTY: Final = (24, 26, 32)
 
 
-def draw_dense(figures: dict[str, Any], path: Path) -> None:
+def draw_dense(figures: Figures, path: Path) -> None:
     """Write a PNG of the images that `bench_dense` kept: true and found points side by side, found ones of people.
 
-    Raises BadConfig for figures that hold no images, or if the file cannot be written.
+    Raises BadConfig where no network gives points, or if the file cannot be written.
     """
-    if not isinstance(figures, Dense):
-        raise BadConfig(f"only the results of bench_dense hold images to draw, found a {type(figures).__name__}")
-    panels = [panel for shown in figures.pictures for panel in _panels(shown)]
+    panels = [panel for shown in figures.shown for panel in _panels(shown)]
     if not panels:
         raise BadConfig("none of the networks gives points of the template: nothing is to be drawn")
     places = list(itertools.accumulate((max(panel.width, _LEAST_WIDTH) + _GAP for _, panel in panels), initial=_GAP))

@@ -31,7 +31,7 @@ from benches.model.networks.network_times import (
     time_cell,
     wait_for,
 )
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.loading import Batch, RangeImages, WorkerMethod, loader
 from bodyseg_model.networks import SHIPPED, Network, build, load_network, predict
 from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, recipe_for
@@ -68,11 +68,9 @@ def bench_gpu(
     """Samples a second into the GPU, milliseconds of `compact` and of the paper's network, and speed of their training.
 
     data: folder or address of a set, whose train split of `all` is loaded and trained on. views: samples of a pass.
-    num_workers: of the loader. steps: of each training. Raises BadConfig without a GPU, for wrong numbers, or as
-    `RangeImages`; MissingLibrary without Anny.
+    num_workers: of the loader. steps: of each training. Raises BadConfig without a GPU, or as `RangeImages`;
+    MissingLibrary without Anny.
     """
-    check_int("the number of samples", views, 1)
-    check_int("the steps of a training", steps, _WINDOWS)
     if not torch.cuda.is_available():
         raise BadConfig("bench gpu needs a GPU that PyTorch can use, found none: nothing was measured")
     largest = typical_frames(1)[0]

@@ -26,7 +26,7 @@ from bodyseg_data.artifacts import (
     StripeLoss,
     load_sensor_model,
 )
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, over_seeds
 from bodyseg_model.networks import find_device
@@ -54,7 +54,6 @@ def bench_harm(
     lost: points of average per-class accuracy less than without artifacts, over the seeds. harmless: less than
     `DECIDE_POINTS` in every row. ms: processor time of a sample in the loader. Raises BadConfig, and as `load_network`.
     """
-    check_int("the number of test images", images, 1)
     device = find_device()
     rows: dict[str, dict[int, Any]] = {}
     for name, trained in [chosen_network(), *(chosen_network([run]) for run in runs)]:

@@ -23,7 +23,7 @@ from benches.charts.stability_tables import FORMAT
 from benches.measuring import counter
 from bodyseg_data.artifacts import Augmentation, RangeImage, VariantName
 from bodyseg_data.bodies import FRAMES_PER_SECOND, Body, BodyRef, BodySource, open_source
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
@@ -44,16 +44,13 @@ it, metres. A pixel is about 3.4 mm wide at 2.55 m."""
 NOT_SEEN: Final = -1
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class RenderedBody:
     """A body in front of a camera, and its rendered surface."""
 
     mesh: Mesh
     camera: PlacedCamera
     surface: Surface
-
-    def __repr__(self) -> str:
-        return f"RenderedBody({self.mesh.name!r}, {len(self.pixels)} pixels)"
 
     @cached_property
     def pixels(self) -> NDArray[np.intp]:
@@ -355,15 +352,8 @@ def temporal(
     has the scores of the true labels: their distance from 1 is due to pixels and the partition.
     progress: called with frames done and frames in all; rendering a frame counts as one, as does labelling it.
 
-    Raises BadConfig for counts that are too small, a window longer than a shot or no variant; otherwise as
-    `choose_shots`, `render_shot` and `predict`.
+    Raises as `choose_shots`, `render_shot` and `predict`.
     """
-    shots = check_int("the number of shots", shots, 1)
-    window = check_int("the frames of a window", window, 2)
-    if check_int("the frames of a shot", frames, 2) < window:
-        raise BadConfig(f"a shot must be at least as long as a window, found {frames} frames and a window of {window}")
-    if not variants:
-        raise BadConfig("temporal consistency needs at least one variant, found none")
     source, rig = open_source("open") if source is None else source, load_rig() if rig is None else rig
     augmentations = {variant: Augmentation(rig, variant, seed) for variant in variants}
     chosen = choose_shots(source, shots, frames)

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from benches.measuring import counter
 from bodyseg_data.commands import provenance
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.files import last_name
 from bodyseg_data.loading import BodyCrop, RangeImages
 from bodyseg_model.evaluation import evaluate, over_seeds
@@ -32,10 +32,9 @@ def bench_shuffles(
     accuracy, pixel_accuracy: per class and of pixels, over the seeds. over_global: the accuracy less that of the
     training of the same seed in the global order. Raises BadConfig, and as training does.
     """
-    numbers = range(check_int("the number of seeds", seeds, 1))
     found: dict[str, list[tuple[float, float]]] = {order: [] for order in ORDERS}
     tick = counter(progress, len(ORDERS) * seeds)
-    for seed in numbers:
+    for seed in range(seeds):
         test_images = RangeImages(data, "all", "test", transform=WINDOW)
         for order in ORDERS:
             with TemporaryDirectory(prefix="bodyseg-shuffles-") as folder:

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from benches.environment import child_environment
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.machine import processors
 from bodyseg_data.machine.kernels import VARIABLE
 
@@ -73,7 +73,6 @@ def bench_training(data: str, steps: int = STEPS, progress: ProgressCallback = s
     data: folder or address of a set, whose train split is trained on. steps: of each training. Raises BadConfig for too
     few steps, or a training that fails.
     """
-    check_int("the steps of a training", steps, _WINDOWS)
     named = ways(processors())
     runs: dict[str, list[Mapping[str, float]]] = {name: [] for name in named}
     with TemporaryDirectory(prefix="bodyseg-training-") as folder:

@@ -154,7 +154,7 @@ def _trained() -> Iterator[Step]:
 def _speed() -> Iterator[Step]:
     """Measurements on one machine: methods side by side, each with its error."""
     yield _bench("occlusion", drawn=True, more=("occlusion_errors.png",), alone=True)
-    yield _bench("quantisation", "--views", "40", drawn=True, alone=True)
+    yield _bench("quantisation", "--views", "40", alone=True)
     yield _bench("partition", "--mit", MIT, drawn=True, alone=True)
     yield _bench("reduction", "--views", "4", "--mit", MIT, drawn=True, alone=True)
     yield _bench("codec", drawn=True, alone=True)

@@ -33,9 +33,6 @@ class Products:
         self._places = places
         self._files: dict[tuple[str, int, int], str] = {}
 
-    def __repr__(self) -> str:
-        return f"Products({self._places.work})"
-
     def made_by(self, step: Step) -> dict[str, str] | None:
         """Product -> digest, as a step has left them in the work folder or in docs/results; None if one is missing."""
         if step.kind == "set":

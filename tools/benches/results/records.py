@@ -54,9 +54,6 @@ class Records:
         self._records = {name: self._read(file) for name, file in self._files.items()}
         self._begun = self._read_begun()
 
-    def __repr__(self) -> str:
-        return f"Records({', '.join(map(str, self._files.values()))})"
-
     def get(self, step: Step) -> Record | None:
         """The last run of a step, as far as its product may still be there; None if there is none."""
         published = self._records["results"].get(step.name)

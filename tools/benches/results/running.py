@@ -61,9 +61,6 @@ class Runner:
         self.made: set[str] = set()
         self._running: list[_Running] = []
 
-    def __repr__(self) -> str:
-        return f"Runner({self._places.work}, {len(self.made)} made, {len(self.failed)} failed)"
-
     def run(self, chosen: set[str]) -> dict[str, Status]:
         """Make those of the chosen steps that are stale, and what they need; returns the statuses afterwards.
 

@@ -122,9 +122,6 @@ class Graph:
             if later - {*self._inputs[step.name]}:
                 raise BadConfig(f"{step.name} must stand behind {', '.join(sorted(later))}, whose products it reads")
 
-    def __repr__(self) -> str:
-        return f"Graph({len(self.steps)} steps)"
-
     def inputs(self, step: Step) -> tuple[str, ...]:
         """Names of the steps whose products a step reads."""
         return self._inputs[step.name]

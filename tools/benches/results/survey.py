@@ -62,9 +62,6 @@ class Survey:
         self._places = places
         self.products = Products(places)
 
-    def __repr__(self) -> str:
-        return f"Survey({self._graph!r})"
-
     def statuses(self) -> dict[str, Status]:
         """The status of every step, by name. Raises BadConfig for a product or a record that cannot be read."""
         found: dict[str, Status] = {}

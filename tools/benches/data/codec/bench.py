@@ -21,7 +21,7 @@ from benches.environment import computed_by
 from benches.measuring import median_time, mixed
 from bodyseg_data.artifacts import VARIANTS, Augmentation, ShadowTest, shadow_tests
 from bodyseg_data.bodies import open_source
-from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.packing import Sampler
 from bodyseg_data.packing.occluders import coarsened, exact_range
 from bodyseg_data.rendering import open_renderer
@@ -60,11 +60,9 @@ def bench_codec(views: int = 60, progress: ProgressCallback = silent) -> dict[st
     """Every codec on `views` samples: mean bytes, ms to encode and decode, of all three images and of each kind.
 
     front: codecs that none beats in both bytes and decoding. projector: what rounding it to what the shadows need
-    saves. png_sets: the five sets of the paper as PNG files against the one that is stored. Raises BadConfig for no
-    views, MissingLibrary without imagecodecs.
+    saves. png_sets: the five sets of the paper as PNG files against the one that is stored. Raises
+    MissingLibrary without imagecodecs.
     """
-    if views < 1:
-        raise BadConfig(f"at least one view must be measured, found {views}")
     others = baselines()
     costs = {baseline.name: {kind: _Costs() for kind in _IMAGES} for baseline in others}
     ours = {name: {kind: _Costs() for kind in ("range and labels", "projector")} for name in ("bsi, NumPy", DEFAULT)}

@@ -9,10 +9,11 @@ from __future__ import annotations
 import queue
 import threading
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 import torch
@@ -46,16 +47,18 @@ class Premade(Sequence[RangeImage]):
         return self._images.image(index, 0)
 
 
-class Baseline(Protocol):
+class Baseline(ABC):
     """One way to store and read a set of images that are made already."""
 
+    @abstractmethod
     def write(self, images: Premade, folder: Path) -> int:
         """Store the set in an empty folder; bytes taken. Raises ImportError if a package is absent."""
 
+    @abstractmethod
     def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
         """Batches of the set, pass after pass, by workers that stay alive between passes."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  most hold nothing
         """Leave nothing behind of what `open` made, once its result is gone."""
 
 
@@ -145,7 +148,7 @@ def folder_bytes(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-class Memory(Dataset[dict[str, Any]]):
+class Memory(Dataset[dict[str, Any]], Baseline):
     """The limit: tensors in memory, float32 and uint8, that workers inherit when they are forked.
 
     threads: workers are threads of this process.
@@ -168,9 +171,6 @@ class Memory(Dataset[dict[str, Any]]):
             return thread_loader(self, batch, workers)
         return torch_loader(self, batch, workers, shuffle=True)
 
-    def close(self) -> None:
-        """The tensors stay for the next one who opens it."""
-
     def __len__(self) -> int:
         return len(self._keys)
 
@@ -178,7 +178,7 @@ class Memory(Dataset[dict[str, Any]]):
         return {"range": self._ranges[index], "labels": self._labels[index], "key": self._keys[index]}
 
 
-class PngFiles:
+class PngFiles(Baseline):
     """Two PNG files a sample, read by a plain data set."""
 
     def __init__(self, decode: Decode = by_pillow) -> None:
@@ -195,9 +195,6 @@ class PngFiles:
         """A plain DataLoader."""
         return torch_loader(_PngFolder(folder, self._decode), batch, workers, shuffle=True)
 
-    def close(self) -> None:
-        """Nothing is held."""
-
 
 class _PngFolder(Dataset[dict[str, Any]]):
     def __init__(self, folder: Path, decode: Decode) -> None:
@@ -213,7 +210,7 @@ class _PngFolder(Dataset[dict[str, Any]]):
         return example(Path(path).name, image, labels)
 
 
-class Webdataset:
+class Webdataset(Baseline):
     """Tars of PNG files or of raw arrays, decoded in a map: webdataset's own decoders cut PNG's 16 bits down to 8.
 
     stored: what the tars hold; raw and zstd are the arrays' bytes, whose shape the reader knows. threads: workers are
@@ -259,9 +256,6 @@ class Webdataset:
             batches(shards), batch_size=None, num_workers=workers, persistent_workers=workers > 0
         )
         return loader
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 Stored = Literal["png", "raw", "zstd"]

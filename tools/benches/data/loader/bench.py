@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import statistics
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -41,7 +40,7 @@ from benches.measuring import counter, evenly_spaced
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.loading import Batch, Flip, RangeImages, loader
-from bodyseg_data.machine import processors
+from bodyseg_data.machine import processors, torch_threads
 from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
 from bodyseg_data.samples import ViewGrid
 
@@ -162,7 +161,10 @@ def measure(
     there = {name: baseline for name, baseline in known.items() if stored[name] is not None}
     expected |= dict.fromkeys(there, expected["ours_all"])
     found: dict[int, dict[str, Passes]] = {}
-    with _threads(max(1, processors() - max(workers))) as threads:
+    # Without a processor of their own PyTorch's threads wait by spinning, which slows down those loaders most that
+    # leave their collation to PyTorch.
+    threads = min(max(1, processors() - max(workers)), torch.get_num_threads())
+    with torch_threads(threads):
         for count in workers:
             opens = _openings(packed, there, scratch, batch, count)
             try:
@@ -174,19 +176,6 @@ def measure(
     kept = stored | {name: folder_bytes(scratch / name) for name in there if not name.startswith("memory")}
     counts = {"samples": len(images["all"]), "batch": batch, "rounds": rounds, "threads": threads}
     return _results(found, stored, kept, five_pngs, counts) | {"png_decoders": decoders.to_json()}
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[int]:
-    """Gives PyTorch in this process `count` threads at most: without a processor of their own they wait by spinning,
-    which slows down those loaders most that leave their collation to PyTorch.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(min(count, before))
-    try:
-        yield torch.get_num_threads()
-    finally:
-        torch.set_num_threads(before)
 
 
 def _written(name: str, baseline: Baseline, images: Premade, folder: Path) -> int | None:

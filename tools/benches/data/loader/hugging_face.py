@@ -12,6 +12,7 @@ import numpy as np
 
 from benches.data.loader.baselines import (
     SHARDS,
+    Baseline,
     Premade,
     Webdataset,
     allow_read_only,
@@ -23,7 +24,7 @@ from benches.data.loader.pngs import Decode, by_pillow
 from bodyseg_data.loading import Batch
 
 
-class HfParquet:
+class HfParquet(Baseline):
     """Parquet files of raw arrays as binary columns, Snappy-compressed: the default of Parquet.
 
     Its own array columns take five times as long to read, and hold integers of 64 bits then.
@@ -50,11 +51,8 @@ class HfParquet:
             _stream("parquet", folder, batch).map(partial(_from_bytes, self._shape)), batch, workers, False
         )
 
-    def close(self) -> None:
-        """Nothing is held."""
 
-
-class HfWebdataset:
+class HfWebdataset(Baseline):
     """The tars of `Webdataset`, read by `datasets`; PNG images are decoded in a map, as they are there."""
 
     def __init__(self, decode: Decode = by_pillow) -> None:
@@ -69,9 +67,6 @@ class HfWebdataset:
         """Its IterableDataset without its own decoder, Pillow's, and with a map, under PyTorch's DataLoader."""
         images = _stream("webdataset", folder, batch).decode(False).map(partial(_from_pngs, self._decode))
         return torch_loader(images, batch, workers, False)
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 def _stream(kind: str, folder: Path, buffer: int) -> Any:

@@ -12,11 +12,11 @@ from typing import Any
 
 import torch
 
-from benches.data.loader.baselines import STEP_M, Premade, folder_bytes
+from benches.data.loader.baselines import STEP_M, Baseline, Premade, folder_bytes
 from bodyseg_data.loading import Batch
 
 
-class LitData:
+class LitData(Baseline):
     """LitData's optimised chunks of raw tensors, which it maps into memory and reads without a copy."""
 
     def __init__(self) -> None:

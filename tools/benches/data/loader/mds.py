@@ -9,11 +9,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from benches.data.loader.baselines import Premade, allow_read_only, example, folder_bytes, torch_loader
+from benches.data.loader.baselines import Baseline, Premade, allow_read_only, example, folder_bytes, torch_loader
 from bodyseg_data.loading import Batch
 
 
-class Mds:
+class Mds(Baseline):
     """Shards of raw arrays, 16 bits of range and 8 of labels, compressed or not.
 
     Compressed shards are decompressed when first read, and both forms stay in the folder: what its StreamingDataset

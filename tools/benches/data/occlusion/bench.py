@@ -25,7 +25,7 @@ from benches.data.occlusion.views import (
     with_baseline,
 )
 from bodyseg_data.artifacts import ShadowTest
-from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import SHADOW_THRESHOLDS
 
@@ -41,11 +41,8 @@ def bench_occlusion(views: int = 60, progress: ProgressCallback = silent) -> dic
     views pooled; worst_view: the largest share in one of them; scenes: wrong_pixels in each scene. bytes: what the
     method adds to a sample, projector image and facing bit. us_per_view: processor time to decode that image
     (decode_us) and to make the mask (test_us; form: in NumPy or compiled), the median over views of those of sixteen
-    runs, all methods in turn. default: the form that runs, compiled where numba is installed. Raises BadConfig for no
-    views.
+    runs, all methods in turn. default: the form that runs, compiled where numba is installed.
     """
-    if views < 1:
-        raise BadConfig(f"at least one view must be measured, found {views}")
     tallies = [Tally(method) for method in METHODS]
     compiled, where, masks = Compiled(), WhereWrong(), Masks()
     facing: list[int] = []

@@ -17,7 +17,7 @@ from benches.data.occlusion.tallies import share
 from benches.data.occlusion.views import ExactView, exact_views, postures
 from benches.measuring import median_time
 from bodyseg_data.artifacts import ShadowTest
-from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 
@@ -71,10 +71,8 @@ def bench_quantisation(views: int = 40, progress: ProgressCallback = silent) -> 
     processor time to decode them, mean over views of the median of eight rounds in which the steps take turns;
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all views
     pooled; worst_view: the largest share in one of them. best: the step of fewest bytes with at most `limit` wrong that
-    is not coarser than `resolution_mm`. default: the step of the default rig. Raises BadConfig for no views.
+    is not coarser than `resolution_mm`. default: the step of the default rig.
     """
-    if views < 1:
-        raise BadConfig(f"at least one view must be measured, found {views}")
     tallies = {}
     for number, step_mm in enumerate(STEPS_MM):
         rig = replace(load_rig(), range_step_mm=step_mm)

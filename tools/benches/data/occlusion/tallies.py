@@ -207,11 +207,10 @@ class Masks:
 
 
 class WhereWrong:
-    """Locations of the default's errors: beside exact shadow edges, by posture, and every scene's worst window."""
+    """Locations of the default's errors: beside exact shadow edges, under grazing light, every scene's worst window."""
 
     def __init__(self) -> None:
         self._wrong = self._beside = self._grazing = 0
-        self._postures: dict[str, list[int]] = {}
         self.pixels = dict.fromkeys(SCENES, 0)
         self._crops: dict[str, dict[str, Any]] = {}
 
@@ -228,15 +227,12 @@ class WhereWrong:
             self._wrong += int(wrong.sum())
             self._beside += int((wrong & grown(view.lit) & grown(view.inside & ~view.lit)).sum())
             self._grazing += int((wrong & view.grazing).sum())
-            counts = self._postures.setdefault(view.ref.pose, [0, 0])
-            counts[0], counts[1] = counts[0] + int(wrong.sum()), counts[1] + len(foreground.pixels)
 
     def row(self) -> dict[str, Any]:
-        """Shares of the errors in ordinary views, and the share of wrong pixels by posture."""
+        """Shares of the errors in ordinary views."""
         return {
             "share_of_errors_beside_a_shadow_edge": share(self._beside, self._wrong),
             "share_of_errors_under_grazing_light": share(self._grazing, self._wrong),
-            "wrong_pixels_by_pose": {pose: share(*counts) for pose, counts in self._postures.items()},
         }
 
     def worst_crops(self) -> list[dict[str, Any]]:

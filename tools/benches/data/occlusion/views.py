@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from benches.data.occlusion.scaled_rig import with_projector_scale
 from benches.data.occlusion.shadow_rays import lit as lit_by_rays
@@ -228,8 +229,5 @@ def exact_views(
 
 def grown(mask: Mask, by: int = 1) -> Mask:
     """A mask [H, W] and all pixels not further than `by` rows and columns from it."""
-    padded = np.pad(mask, by)
-    rows, columns = mask.shape
-    across = np.logical_or.reduce([padded[:, shift : shift + columns] for shift in range(2 * by + 1)])
-    whole: Mask = np.logical_or.reduce([across[shift : shift + rows] for shift in range(2 * by + 1)])
+    whole: Mask = binary_dilation(mask, np.ones((2 * by + 1, 2 * by + 1)))
     return whole

@@ -40,11 +40,9 @@ def bench_far(
 
     views: samples in all, rounded up to whole bodies; data: a set to take in place of a new one. rows: for each cache
     (for the whole set, for a part of it, none) each order, and one also without look-ahead: seconds to the first batch
-    and of the epoch, bytes sent over the set's, requests, most connections at once. link_s: the set's bytes by the rate
-    of all connections. shard_s: one shard's fetch. Processor seconds: processor_s of the loader's process, which opens
-    the set, too, and server_s of the server, another process; local_processor_s of an epoch from a local folder, and
-    local_s by the clock. warm_over_local: processor time from a full cache over that from the folder. mixing: see
-    `_mixing`.
+    and of the epoch, bytes sent over the set's, requests; server_s, processor seconds of the server, another process.
+    link_s: the set's bytes by the rate of all connections. shard_s: one shard's fetch. local_s: of an epoch from a
+    local folder. warm_over_local: processor time from a full cache over that from the folder. mixing: see `_mixing`.
     """
     with TemporaryDirectory(prefix="bodyseg-far-") as folder:
         packed = Path(data) if data else _packed(views, Path(folder) / "set")
@@ -105,11 +103,9 @@ def _epoch(
         kept = {"cache_bytes": 0} if limit == 0 else {"cache": place, "cache_bytes": limit}
         images = RangeImages(server.url, "all", **kept)
         server.forget()
-        start, processor = time.perf_counter(), time.process_time()
-        first, samples = 0.0, 0
-        for batch in loader(images, BATCH, workers, shuffle=ORDERS[order]):
+        start, first = time.perf_counter(), 0.0
+        for _ in loader(images, BATCH, workers, shuffle=ORDERS[order]):
             first = first or time.perf_counter() - start
-            samples += len(batch["key"])
         seconds = time.perf_counter() - start
     return {
         "order": order,
@@ -117,12 +113,9 @@ def _epoch(
         "look_ahead": looks,
         "first_s": round(first, 3),
         "epoch_s": round(seconds, 3),
-        "samples_per_second": round(samples / seconds, 1),
-        "processor_s": round(time.process_time() - processor, 2),
         "server_s": round(server.processor_s, 2),
         "times_the_set": round(server.sent / size, 3),
         "requests": server.requests,
-        "most_at_once": server.most_at_once,
     }
 
 
@@ -145,7 +138,6 @@ def _warm(packed: Path, cache: Path, workers: int, turns: int = 3) -> dict[str, 
     return {
         "warm_over_local": round(min(found[0]) / min(found[1]), 3),
         "local_s": round(min(seconds), 3),
-        "local_processor_s": round(min(found[1]), 2),
     }
 
 

@@ -5,10 +5,8 @@ It is a process of its own, so that its work is neither the loader's processor t
 
 from __future__ import annotations
 
-import contextlib
 import os
 import time
-from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,12 +19,12 @@ class ThrottledServer:
     """Serves `folder` from `__enter__` to `__exit__`. latency_s: before each answer. rate: bytes a second of each
     connection.
 
-    Counted since `forget`: requests and sent bytes of shards, most answers at once, and the server's processor seconds.
+    Counted since `forget`: requests and sent bytes of shards, and the server's processor seconds.
     """
 
     def __init__(self, folder: Path, latency_s: float, rate: float) -> None:
         context = get_context("fork")  # the address is bound before, so that nothing is sent back
-        server = _Server(folder, latency_s, rate, context.Array("d", 5))
+        server = _Server(folder, latency_s, rate, context.Array("d", 3))
         self._counts, self.url = server.counts, f"http://127.0.0.1:{server.server_port}/"
         self._process = context.Process(target=server.serve_forever, args=(0.02,), daemon=True)
         self._process.start()
@@ -42,8 +40,7 @@ class ThrottledServer:
     def forget(self) -> None:
         """Count from 0 again."""
         with self._counts:
-            self._counts[:4] = [0.0] * 4
-            self._counts[4] = 0.0
+            self._counts[:] = [0.0] * 3
 
     @property
     def requests(self) -> int:
@@ -54,16 +51,12 @@ class ThrottledServer:
         return int(self._counts[1])
 
     @property
-    def most_at_once(self) -> int:
-        return int(self._counts[2])
-
-    @property
     def processor_s(self) -> float:
-        return float(self._counts[4])
+        return float(self._counts[2])
 
 
 class _Server(ThreadingHTTPServer):
-    """counts: shared, as `ThrottledServer` names them; the fourth is that of answers being sent."""
+    """counts: shared, requests, bytes and seconds as `ThrottledServer` names them."""
 
     daemon_threads = True
     request_queue_size = 64
@@ -72,22 +65,10 @@ class _Server(ThreadingHTTPServer):
         self.folder, self.latency_s, self.rate, self.counts = folder, latency_s, rate, counts
         super().__init__(("127.0.0.1", 0), _Handler)
 
-    @contextlib.contextmanager
-    def answering(self) -> Iterator[None]:
+    def count(self, *amounts: float) -> None:
+        """Add to requests, bytes and seconds."""
         with self.counts:
-            self.counts[0] += 1
-            self.counts[3] += 1
-            self.counts[2] = max(self.counts[2], self.counts[3])
-        try:
-            yield
-        finally:
-            with self.counts:
-                self.counts[3] -= 1
-
-    def count(self, size: int, thread_s: float) -> None:
-        with self.counts:
-            self.counts[1] += size
-            self.counts[4] += thread_s
+            self.counts[:] = [before + more for before, more in zip(self.counts, amounts, strict=True)]
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Clients may go away."""
@@ -104,19 +85,20 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404)
             return
         is_shard = path.suffix == ".tar"
-        with self.server.answering() if is_shard else contextlib.nullcontext():
-            size = path.stat().st_size
-            first, last = 0, size - 1
-            if asked := self.headers.get("Range", ""):
-                first, last = map(int, asked.removeprefix("bytes=").split("-"))
-            time.sleep(self.server.latency_s)
-            self.send_response(206 if asked else 200)
-            self.send_header("Content-Length", str(last + 1 - first))
-            if asked:
-                self.send_header("Content-Range", f"bytes {first}-{last}/{size}")
-            self.end_headers()
-            with path.open("rb") as file:
-                self._send(file.fileno(), first, last + 1, is_shard)
+        if is_shard:
+            self.server.count(1, 0, 0)
+        size = path.stat().st_size
+        first, last = 0, size - 1
+        if asked := self.headers.get("Range", ""):
+            first, last = map(int, asked.removeprefix("bytes=").split("-"))
+        time.sleep(self.server.latency_s)
+        self.send_response(206 if asked else 200)
+        self.send_header("Content-Length", str(last + 1 - first))
+        if asked:
+            self.send_header("Content-Range", f"bytes {first}-{last}/{size}")
+        self.end_headers()
+        with path.open("rb") as file:
+            self._send(file.fileno(), first, last + 1, is_shard)
 
     def _send(self, file: int, first: int, stop: int, is_counted: bool) -> None:
         start, at, used = time.monotonic(), first, time.thread_time()
@@ -128,7 +110,7 @@ class _Handler(BaseHTTPRequestHandler):
                 at += sent
                 if is_counted:
                     now = time.thread_time()
-                    self.server.count(sent, now - used)
+                    self.server.count(0, sent, now - used)
                     used = now
             if at < stop:
                 time.sleep(_STEP_S)

@@ -23,7 +23,7 @@ from benches.data.render.alone import measure_renderers
 from benches.data.render.steps import measure_stages, measure_steps
 from benches.measuring import counter, evenly_spaced
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silent
+from bodyseg_data.core import MissingLibrary, ProgressCallback, silent
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.packing import PROCESSES, Packing, Sampler, open_engine, pack
 from bodyseg_data.packing.packer import render_run
@@ -42,10 +42,7 @@ def bench_render(views: int = 486, progress: ProgressCallback = silent) -> dict[
     absolute difference. silhouette_error: share of the body's pixels that only one of the two sees. "plain_errors" says
     the same of the plain way, and the share of its labels that differ. stages and steps: see `steps.py`. All
     that needs pyrender is null where it cannot draw, and "plain_missing" says why. renderers: see `alone.py`.
-    Raises BadConfig for no views.
     """
-    if views < 1:
-        raise BadConfig(f"at least one view must be measured, found {views}")
     grid = tuple(Packing("open").views)
     packing = Packing("open", meshes=1 + _WORKERS * max(1, -(-(views - len(grid)) // (len(grid) * _WORKERS))))
     bodies = packing.bodies()

@@ -60,14 +60,12 @@ def bench_cluster(
 ) -> dict[str, Any]:
     """Costs of packing `views` open bodies of `_VIEWS` views each, by clusters of workers of one thread.
 
-    clusters: for each of `num_workers` the seconds from the first job to the manifest, views a second, the share of the
-    speed of as many times the first cluster's workers; `Costs` in milliseconds a view, scheduler_ms_a_job; idle_ms, the
-    milliseconds a second that workers, scheduler and packer each take while nothing is packed, which the costs leave
-    out; and predicted_s, the seconds that the costs of the first cluster predict on the processors of this machine if
-    nothing else runs on them. The body model is loaded before, by a packing of one body. job_bytes, result_bytes: on
-    the connections, for one body. machines: `at_scale` of the costs of the last cluster. equal: whether all manifests
-    are the same bytes.
-    Raises MissingLibrary without `distributed` or Anny.
+    clusters: for each of `num_workers` the seconds from the first job to the manifest, views a second; `Costs` in
+    milliseconds a view; idle_ms, the milliseconds a second that workers, scheduler and packer each take while nothing
+    is packed, which the costs leave out; and predicted_s, the seconds that the costs of the first cluster predict on
+    the processors of this machine if nothing else runs on them. The body model is loaded before, by a packing of one
+    body. job_bytes, result_bytes: on the connections, for one body. machines: `at_scale` of the costs of the last
+    cluster. equal: whether all manifests are the same bytes. Raises MissingLibrary without `distributed` or Anny.
     """
     packing = Packing("open", meshes=views, views=ViewGrid(count=_VIEWS))
     count = views * _VIEWS
@@ -82,17 +80,12 @@ def bench_cluster(
             seconds, costs, idle = _packed(packing, workers, nodes, Path(folder))
             manifests.add((Path(folder) / "shards" / MANIFEST_NAME).read_bytes())
         measured.append(costs)
-        speed = count / seconds
-        first = rows[0] if rows else {"workers": workers, "views_a_second": speed}
-        ideal = first["views_a_second"] * workers / first["workers"]
         rows.append(
             {
                 "workers": workers,
                 "seconds": round(seconds, 3),
-                "views_a_second": round(speed, 2),
-                "share_of_linear": round(speed / ideal, 3),
+                "views_a_second": round(count / seconds, 2),
                 **{f"{name}_ms": round(value, 4) for name, value in asdict(costs).items()},
-                "scheduler_ms_a_job": round(costs.scheduler * _VIEWS, 3),
                 "idle_ms": {name: round(value * 1e3, 2) for name, value in zip(asdict(costs), idle, strict=True)},
                 "predicted_s": round(measured[0].seconds(count, workers, cores), 3),
             }

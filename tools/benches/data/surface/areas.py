@@ -14,8 +14,5 @@ def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:
 
     labels: uint8 [V], 0 to 32. The area of a triangle is shared equally by its corners.
     """
-    areas = np.linalg.norm(mesh.normals, axis=1) / 2
-    shares = np.zeros(PART_COUNT)
-    for corner in range(3):
-        np.add.at(shares, labels[mesh.faces[:, corner]], areas / (3 * areas.sum()))
-    return shares
+    areas = np.linalg.norm(mesh.normals, axis=1)
+    return np.bincount(labels[mesh.faces].ravel(), np.repeat(areas / (3 * areas.sum()), 3), PART_COUNT)

@@ -14,7 +14,6 @@ from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
 from bodyseg_data.core import ProgressCallback, silent
-from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh
 
@@ -78,7 +77,7 @@ def bench_interpenetration(views: int = 5, progress: ProgressCallback = silent) 
 
     For every group of poses, in millimetres: "fold_mm", the deepest vertex within 0.45 m of the skin it meets, measured
     along the skin, as in groin, armpit, elbow and knee; "contact_mm", the deepest one farther from it: a limb in
-    another or in the trunk; "contact_at", the body and the two parts of that one; "over_10_mm" and "over_20_mm", the
+    another or in the trunk; "over_10_mm" and "over_20_mm", the
     shares of bodies with a deeper contact. Of dressed bodies the body is measured, and "dressed_contact_mm" is that of
     the clothes. Eyes and mouth do not count, nor what is inside in a stance with the arms off the body.
     Raises MissingLibrary.
@@ -104,11 +103,10 @@ def bench_interpenetration(views: int = 5, progress: ProgressCallback = silent) 
 
 @dataclass(frozen=True)
 class Depths:
-    """One body's deepest fold and contact, metres, and where the contact is."""
+    """One body's deepest fold and contact, metres."""
 
     fold: float
     contact: float
-    location: str
 
 
 class Skin:
@@ -143,13 +141,10 @@ class Skin:
         met = own[mesh.faces[faces[deep], 0]]
         deep, met = deep[self._counted[met]], met[self._counted[met]]
         if not len(deep):
-            return Depths(0, 0, "")
+            return Depths(0, 0)
         apart = self._along[self._source[own[deep]], met] > _FOLD_M
-        contact = np.where(apart, depths[deep], 0)
-        worst = int(contact.argmax())
-        parts = " and ".join(LANDMARKS[self._labels[vertex]] for vertex in (own[deep[worst]], met[worst]))
-        fold = np.where(apart, 0, depths[deep])
-        return Depths(float(fold.max()), float(contact.max()), f"{mesh.name}: {parts}")
+        folds, contacts = np.where(apart, 0, depths[deep]), np.where(apart, depths[deep], 0)
+        return Depths(float(folds.max()), float(contacts.max()))
 
 
 def groups_to_measure(
@@ -170,12 +165,10 @@ def groups_to_measure(
 
 def _summary(bare: Sequence[Depths], dressed: Sequence[Depths]) -> dict[str, Any]:
     contacts = np.array([depths.contact for depths in bare])
-    worst = bare[int(contacts.argmax())]
     return {
         "bodies": len(bare),
         "fold_mm": round(max(depths.fold for depths in bare) * 1e3),
-        "contact_mm": round(worst.contact * 1e3),
-        "contact_at": worst.location if worst.contact > 0 else None,
+        "contact_mm": round(float(contacts.max()) * 1e3),
         "over_10_mm": round(float((contacts > 0.01).mean()), 3),
         "over_20_mm": round(float((contacts > 0.02).mean()), 3),
         "dressed_contact_mm": round(max(depths.contact for depths in dressed) * 1e3),

@@ -6,8 +6,7 @@ and as `partition` uses it: mended first, with a fall-back.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, get_args
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
 from benches.data.surface.rival_geodesics import RIVALS, rivals_installed
+from benches.measuring import median_time
 from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, nearest_sources, partition
@@ -101,11 +101,11 @@ def _on_sound(body: Body) -> dict[str, dict[str, float]]:
     surface = mesh.vertices[used], corners.reshape(-1, 3), np.searchsorted(used, body.landmarks)
     rows: dict[str, dict[str, float]] = {}
     for method in METHODS:
-        ms, answer = _timed(partial(nearest_sources, method, *surface))
-        partition_ms, parts = _timed(partial(partition, mesh, body.landmarks, method))
+        seconds, answer = median_time(partial(nearest_sources, method, *surface), REPEATS)
+        partition_s, parts = median_time(partial(partition, mesh, body.landmarks, method), REPEATS)
         rows[method] = {
-            "ms": ms,
-            "partition_ms": partition_ms,
+            "ms": round(1e3 * seconds, 1),
+            "partition_ms": round(1e3 * partition_s, 1),
             "wrong_surface": wrong_surface(mesh, parts, mesh, exact, np.arange(len(mesh.faces))),
             "distance_error_mm": round(float(np.abs(answer.distance - exact.distance[used]).mean()) * 1e3, 3),
         }
@@ -130,21 +130,14 @@ def _on_broken(name: str, broken: Broken, whole: Body, exact: Partition, is_scan
             as_it_is: Any = wrong_surface(mesh, parts, other, exact, parent)
         except Unanswerable as error:
             as_it_is = str(error)
-        ms, parts = _timed(partial(partition, mesh, body.landmarks, method), 1)
-        wrong = wrong_surface(mesh, parts, other, exact, parent)
-        rows[method] = {"as_it_is": as_it_is, "wrong_surface": wrong, "partition_ms": ms, "note": parts.note}
-    reference = "the exact answer on the scan" if is_scan else "the exact answer on the sound body"
-    return {"triangles": len(mesh.faces), "reference": reference, "methods": rows}
-
-
-def _timed(run: Callable[[], Any], repeats: int = REPEATS) -> tuple[float, Any]:
-    """Processor time, ms, the median of some runs, and what it returns."""
-    seconds = []
-    for _ in range(repeats):
-        start = time.process_time()
-        result = run()
-        seconds.append(time.process_time() - start)
-    return round(float(np.median(seconds)) * 1e3, 1), result
+        seconds, parts = median_time(partial(partition, mesh, body.landmarks, method))
+        rows[method] = {
+            "as_it_is": as_it_is,
+            "wrong_surface": wrong_surface(mesh, parts, other, exact, parent),
+            "partition_ms": round(1e3 * seconds, 1),
+            "note": parts.note,
+        }
+    return {"triangles": len(mesh.faces), "methods": rows}
 
 
 def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:

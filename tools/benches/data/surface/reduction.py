@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from benches.data.surface.broken_bodies import scan, sound
 from benches.measuring import median_time
 from bodyseg_data.bodies import Body, BodyRef, open_source
-from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.meshes import Mesh, Partition, partition, with_pymeshlab
 from bodyseg_data.meshes.partitioning import find_borders
 from bodyseg_data.packing import Packing, Sampler
@@ -51,11 +51,8 @@ Row = dict[str, Any]
 def bench_reduction(views: int = 4, mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Rows of every kind of body by share of its triangles and by tolerance; then one body, ever more finely divided.
 
-    views: of each body, all round, for errors and times. mit: the folder of MIT frames, if there is one. Raises
-    BadConfig.
+    views: of each body, all round, for errors and times. mit: the folder of MIT frames, if there is one.
     """
-    if views < 1:
-        raise BadConfig(f"at least one view must be measured, found {views}")
     kinds = _kinds(mit)
     one = kinds["open"][0]
     _Reference(one, 1).row(one.mesh, one.landmarks, 0.0)  # what is imported or compiled on first use is no body's cost

@@ -34,7 +34,7 @@ from benches.model.ablation.runs import (
 )
 from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
-from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
+from bodyseg_data.core import BadConfig, NotedProgress, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import over_seeds
 from bodyseg_model.networks import Network, find_device, load_network
@@ -61,10 +61,9 @@ def bench_ablation(
     trainings on either. Trains nothing: "missing" names the command of every training that is not there.
     Scores are kept in each run's cached_results.json.
 
-    Raises BadConfig without a base, for a training that differs from it in something else, for other than two sets of
-    `clothes`, or a wrong number; otherwise as `evaluate`.
+    Raises BadConfig without a base, for a training that differs from it in something else, or for other than two sets
+    of `clothes`; otherwise as `evaluate`.
     """
-    check_int("the number of test images", images, 1)
     sets = sets_of(data, clothes)
     start = time.perf_counter()
     chosen = [row for row in ROWS if row.source in sets]

@@ -11,28 +11,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from benches.measuring import Figures
 from benches.model.chosen import chosen_network
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
 from benches.model.failures.study import CROSSED, FailureCounts, Picture
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.bodies.skeleton import Pose
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, open_images
 
 Tree = dict[str, Any]
-
-
-class Failures(dict[str, Any]):
-    """The bench's results, plain JSON; and beside them the pictures of the worst images, which no JSON holds.
-
-    pictures: name of a set, as in "sets" -> one for each of its "worst", in their order.
-    """
-
-    def __init__(self, content: Tree, pictures: dict[str, list[Picture]]) -> None:
-        super().__init__(content)
-        self.pictures = pictures
 
 
 def bench_failures(
@@ -41,17 +31,16 @@ def bench_failures(
     images: int = 1000,
     hard: str | None = None,
     progress: ProgressCallback = silent,
-) -> Failures:
+) -> Figures:
     """Causes, worst images, and accuracy by posture, on variant `all` of the test images.
 
     data: the set; its training split is what the network is taken to have been trained on. runs: the network is in the
     first of them; without, it is the one that ships. images: how many test images, the first ones of the permutation,
-    as in `evaluate`. hard: a second set, all of whose test images are looked at. Raises BadConfig for no image or no
-    network, MissingLibrary without scikit-image; otherwise as `RangeImages`.
+    as in `evaluate`. hard: a second set, all of whose test images are looked at. Raises BadConfig for no network;
+    otherwise as `RangeImages`.
     """
-    wanted = check_int("the number of images", images, 1)
     network_name, trained = chosen_network(runs)
-    sets = {"test": (open_images(data), wanted)}
+    sets = {"test": (open_images(data), images)}
     if hard is not None:
         harder = open_images(hard)
         sets["hard"] = harder, len(harder)
@@ -71,7 +60,7 @@ def bench_failures(
         before += counts.images
         results[name] = counts.results(names)
         pictures[name] = [failure.picture for failure in counts.worst]
-    return Failures(
+    return Figures(
         {
             "network": network_name,
             "variant": "all",

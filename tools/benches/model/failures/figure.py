@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from benches.model.failures.bench import Failures
+from benches.measuring import Figures
 from benches.model.failures.causes import NAMES
 from benches.model.failures.study import VIEWS_A_BODY, Picture
-from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import FAINT, INK, PAPER, colour_range, draw_legend, fitted, font, save_picture
 from bodyseg_data.labels import BACKGROUND, colour_labels
 
@@ -56,15 +55,12 @@ class _Item(NamedTuple):
         return _CAPTION + max(panel.height for panel in self.panels)
 
 
-def draw_failures(figures: Tree, path: Path) -> None:
+def draw_failures(figures: Figures, path: Path) -> None:
     """Write a PNG of the worst images of the test set, and one beside it, NAME_hard.png, of those of the hard set.
 
-    figures: what `bench_failures` gave, since its JSON holds no images. Raises BadConfig for anything else, or if a
-    file cannot be written.
+    Raises BadConfig if a file cannot be written.
     """
-    if not isinstance(figures, Failures):
-        raise BadConfig(f"only the results of bench_failures hold images to draw, found a {type(figures).__name__}")
-    for name, pictures in figures.pictures.items():
+    for name, pictures in figures.shown.items():
         found = figures["sets"][name]
         file = path if name == "test" else path.with_stem(f"{path.stem}_{name}")
         save_picture(_sheet(found, pictures, _title(found, name, figures["network"], len(pictures))), file)

@@ -26,7 +26,7 @@ from bodyseg_data.bodies.contact_poses import DEEPEST_M
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import CandidateBodies, WideBodies
 from bodyseg_data.commands import provenance
-from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, Draws, ProgressCallback, silent
 from bodyseg_data.files import last_name
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.loading import RangeImages
@@ -79,12 +79,11 @@ def bench_mining(
     Raises BadConfig for a set of another source, or without bodies that can be chosen; otherwise as `RangeImages` and
     training.
     """
-    check_int("the number of steps", steps, 1)
     poses = Poses()
     candidates = scored(data, poses, progress)
     lists = chosen(candidates)
     networks: dict[str, Network] = {"shipped": load_network(SHIPPED).network}
-    for seed, arm in itertools.product(range(check_int("the number of seeds", seeds, 1)), ARMS_OF_TRAINING):
+    for seed, arm in itertools.product(range(seeds), ARMS_OF_TRAINING):
         folder = runs[0] / f"{arm}-{seed}"
         if not RunFolder(folder).network.exists():
             trained_further(data, ordinary, lists[arm], folder, steps, seed)

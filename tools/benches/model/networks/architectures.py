@@ -23,7 +23,7 @@ from benches.model.networks.network import FILLED, TYPICAL
 from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
 from benches.model.variants.scores import TABLE, Evaluator
-from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
+from bodyseg_data.core import BadConfig, NotedProgress, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import processors
 from bodyseg_model.evaluation import evaluate, over_seeds, report
@@ -64,10 +64,9 @@ def bench_architectures(
     cached_results.json.
 
     cpu_ms, gpu_ms: of `forward` on one frame of 640 x 329 pixels that a body fills, float32, all threads; labels_ms: of
-    `predict` on typical frames, on the processor. Raises BadConfig for wrong numbers, or as `groups_in`, MissingLibrary
-    without Anny, what a network needs or, for a forest, scikit-learn and numba.
+    `predict` on typical frames, on the processor. Raises BadConfig as `groups_in`, MissingLibrary without Anny,
+    what a network needs or, for a forest, scikit-learn and numba.
     """
-    check_int("the number of test images", images, 1)
     groups = groups_in(runs)
     evaluator = Evaluator(data, images)
     test_images = evaluator.images(TABLE["all"])
@@ -167,7 +166,7 @@ def _facts_of_forest(forest: DepthForest, scale: ForestScale) -> Tree:
 
 def _forest_scale(data: str, images: int, run: Run) -> ForestScale | None:
     """None for no images. Raises BadConfig unless `data` is what the networks were trained on."""
-    if check_int("the number of the forest's images", images, 0) == 0:
+    if images == 0:
         return None
     theirs, ours = run.trained.card["data"].get("set"), RangeImages(data, "all", "train").identity()["set"]
     if theirs != ours:

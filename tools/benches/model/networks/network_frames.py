@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from benches.measuring import mixed
 from bodyseg_data.artifacts import Augmentation
-from bodyseg_data.core import check_int
 from bodyseg_data.packing import Packing
 from bodyseg_data.packing.packer import render_run
 from bodyseg_data.samples import ViewGrid, metres
@@ -21,9 +20,9 @@ SENSOR_SIZE = (1920, 988)
 def typical_frames(count: int) -> list[NDArray[np.float32]]:
     """`count` views of as many open bodies, spread over postures and views, as X_all shows them: [H, W], metres.
 
-    Raises BadConfig for no frame, MissingLibrary without Anny.
+    Raises MissingLibrary without Anny.
     """
-    packing = Packing("open", meshes=check_int("the number of typical frames", count, 1))
+    packing = Packing("open", meshes=count)
     views, show = list(ViewGrid(span_deg=360)), Augmentation(packing.rig, "all")
     frames = []
     for number, body in enumerate(packing.bodies()):

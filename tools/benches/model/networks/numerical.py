@@ -16,7 +16,7 @@ import torch
 
 from benches.measuring import counter
 from benches.model.chosen import chosen_network
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
@@ -68,12 +68,12 @@ def numerical(
     size compares images together with each alone.
 
     count: at most so many, all held in memory, 0.8 MB each. progress: called with comparisons done and in all. Raises
-    BadConfig for no image, images on which nothing was measured, or a network in training mode.
+    BadConfig for images on which nothing was measured, or a network in training mode.
     """
     if network.training:
         raise BadConfig("comparing labels needs a network in evaluation mode: call network.eval() first")
     device = device_of(network)
-    order = images.order(images.epoch)[: check_int("the number of images", count, 1)]
+    order = images.order(images.epoch)[:count]
     chosen = [images[int(index)] for index in order]
     range_m = torch.stack([image["range"] for image in chosen]).to(device)
     truth = torch.stack([image["labels"] for image in chosen]).to(device)

@@ -23,7 +23,7 @@ from benches.model.chosen import chosen_network
 from benches.model.networks.network_frames import as_batch, stretched, typical_frames
 from benches.model.networks.network_times import warm_up
 from bodyseg_data import RangeImages, example_set
-from bodyseg_data.core import MissingLibrary, ProgressCallback, check_int, silent
+from bodyseg_data.core import MissingLibrary, ProgressCallback, silent
 from bodyseg_data.machine import processors, torch_threads
 from bodyseg_model.evaluation import evaluate, open_images
 from bodyseg_model.networks import Network, Trained, build, predict
@@ -63,10 +63,9 @@ def bench_runtimes(
     data: set on whose test images of `all` accuracy is measured, `images` of them. views: typical frames to take turns
     with. runs: the network is in the first of them; without, it is the one that ships. Each is timed with one thread
     and with as many as there are processors, one image at a time, in turns, of which each begins untimed
-    (`network_times` says why). Runtimes that are not installed are left out. Raises BadConfig for wrong numbers or no
-    network, MissingLibrary without Anny.
+    (`network_times` says why). Runtimes that are not installed are left out. Raises BadConfig for no network,
+    MissingLibrary without Anny.
     """
-    check_int("the number of test images", images, 1)
     network_name, trained = chosen_network(runs)
     networks, left_out = _networks(trained.network), list[str]()
     for backend, precision in _WAYS:
@@ -143,36 +142,18 @@ def _in_8_bits(trained: Trained) -> Network:
 
 
 def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], count: int) -> dict[str, Any]:
-    """Times of each network: median ms by the clock and of processor time, and the median of its rounds' quotients
-    of `REFERENCE`'s time by its own, above one where it is quicker. The paper's network has a third of the rounds.
-    """
+    """Median milliseconds of each network by the clock. The paper's network has a third of the rounds."""
     clock: dict[str, list[float]] = {name: [] for name in networks}
-    processor: dict[str, list[float]] = {name: [] for name in networks}
     with torch_threads(count):
         for number in range(ROUNDS):
             for name, network in networks.items():
                 if name == PAPERS and number % 3:
                     continue
                 warm_up(partial(predict, network, images[number % len(images)]))
-                start, used = time.perf_counter(), time.process_time()
+                start = time.perf_counter()
                 predict(network, images[number % len(images)])
-                processor[name].append(1e3 * (time.process_time() - used))
                 clock[name].append(1e3 * (time.perf_counter() - start))
-    rows = {}
-    for name in networks:
-        others = clock[REFERENCE][:: 3 if name == PAPERS else 1]
-        spent = processor[REFERENCE][:: 3 if name == PAPERS else 1]
-        rows[name] = {
-            "ms": round(statistics.median(clock[name]), 3),
-            "processor_ms": round(statistics.median(processor[name]), 3),
-            "times_as_fast": _quotient(others, clock[name]),
-            "times_as_fast_by_processor_time": _quotient(spent, processor[name]),
-        }
-    return rows
-
-
-def _quotient(reference: Sequence[float], own: Sequence[float]) -> float:
-    return round(statistics.median(a / b for a, b in zip(reference, own, strict=True)), 3)
+    return {name: {"ms": round(statistics.median(times), 3)} for name, times in clock.items()}
 
 
 def _differing(reference: Network, network: Network, frames: Sequence[np.ndarray[Any, Any]]) -> float:

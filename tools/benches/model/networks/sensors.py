@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benches.measuring import evenly_spaced
 from benches.model.chosen import chosen_network
 from bodyseg_data.bodies import open_source
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.rendering import Renderer, open_renderer
@@ -75,15 +75,14 @@ def bench_sensors(
 
     views: bodies, each seen from all of `AZIMUTHS_DEG`. runs: the network is in the first of them; without, it
     is the one that ships. in_view: the share of the bodies' vertices that the frames hold, hidden ones counted. Raises
-    BadConfig for no body or no network, MissingLibrary without Anny.
+    BadConfig for no network, MissingLibrary without Anny.
     """
-    count = check_int("the number of bodies", views, 1)
     network_name, trained = chosen_network(runs)
     scenes = all_scenes()
     tallies = [{method: ConfusionMatrix() for method in METHODS} for _ in scenes]
     in_view: list[list[float]] = [[] for _ in scenes]
     source = open_source("open")
-    bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], count)
+    bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], views)
     for done, body in enumerate(bodies, start=1):
         built = source.build(body)
         parts, renderer = built.partition(), open_renderer("raster", built.mesh)

@@ -15,7 +15,7 @@ from benches.model.chosen import chosen_network
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.landmarks import fitted_to, measured, proposed, ways_to_place
 from benches.model.people.scores import VARIANTS, agreement, packed_views, scored
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.machine import torch_threads
 
 POSES: Final = 10
@@ -39,7 +39,6 @@ def bench_people(
     BadLandmarks for a folder without annotated bodies or with one that cannot be read; otherwise as `fit_body` and
     `pack`.
     """
-    check_int("the number of views", views, 1)
     network_name, trained = chosen_network(runs, flip_average)
     bodies = annotated_bodies(Path(data), poses)
     images = len(VARIANTS) * views * len(bodies)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.mesh_bodies import files_below, landmark_file, meshes_in
-from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import LandmarkSet, Mesh, PointLandmarks, load_landmark_file, read_mesh
 from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT, parse_points
 
@@ -41,7 +41,6 @@ def annotated_bodies(folder: Path, poses: int) -> list[Annotated]:
     meshes in the order of their names are one person's. Poses are numbered in the same order. Raises BadConfig if no
     mesh has landmarks, BadMesh and BadLandmarks for files that cannot be read.
     """
-    check_int("the number of poses of a person", poses, 1)
     bodies: list[Annotated] = []
     for parent in sorted({file.parent for file in files_below(folder)}):
         found = [(stem, mesh, file) for stem, mesh in meshes_in(parent).items() if (file := _file(parent, stem))]

@@ -22,7 +22,7 @@ from benches.model.people.bench import POSES
 from benches.model.people.bodies import Annotated, annotated_bodies
 from benches.model.people.intervals import interval, summed
 from benches.model.people.scores import Counted, accuracy, counted, gross_errors, packed_views
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_model.networks import load_network
 
@@ -47,7 +47,6 @@ def bench_cross_person(
     data, views, poses: as of `bench_people`, whose images these are. runs: a network for each person, in the people's
     order. Raises BadConfig for another number of networks, or of one person alone; otherwise as `bench_people`.
     """
-    check_int("the number of views", views, 1)
     bodies = annotated_bodies(Path(data), poses)
     people = list(dict.fromkeys(body.person for body in bodies))
     if len(people) < 2 or len(runs) != len(people):

@@ -14,8 +14,8 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.evaluation import GrossErrors, distances_to_parts
 from bodyseg_model.evaluation.gross_errors import LIMITS_MM
 
-ANGLES_DEG: Final = (15, 30, 45)
-"""Upper ends of the ranges of the angle between two frames' optical axes; beyond the last they are not compared."""
+MOST_DEG: Final = 45
+"""Largest angle between the optical axes of two frames that are compared."""
 
 MEET_M: Final = 0.006
 """Points of two frames that are nearer than this are one."""
@@ -26,8 +26,8 @@ _POINTS: Final = 1500  # of a frame that are looked up in each other one
 def agreement(
     frames: Sequence[Frame], answers: Sequence[NDArray[np.uint8]], progress: ProgressCallback = silent
 ) -> dict[str, Any]:
-    """Share of points with one label, of those that two frames up to 45 degrees apart see, by angle and in all; and of
-    those whose label is within the limits of gross errors of them in the other frame.
+    """Share of points with one label, of those that two frames up to `MOST_DEG` apart see; and of those whose label is
+    within the limits of gross errors of them in the other frame.
 
     answers: label images, uint8 [H, W]; pixels of `BACKGROUND` are not compared.
     """
@@ -40,10 +40,10 @@ def agreement(
     trees = [KDTree(points) if len(points) else None for points, _ in labelled]
     axes = np.stack([frame.placed.axes[2] for frame in frames])
     angles = np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
-    counts, away_from = np.zeros((len(ANGLES_DEG), 2), np.int64), GrossErrors()
+    alike, compared, away_from = 0, 0, GrossErrors()
     for number, (points, labels) in enumerate(labelled):
         step = max(1, len(points) // _POINTS)
-        for other in np.flatnonzero(angles[number] <= ANGLES_DEG[-1]):
+        for other in np.flatnonzero(angles[number] <= MOST_DEG):
             tree = trees[other]
             if other == number or tree is None or not len(points):
                 continue
@@ -52,19 +52,17 @@ def agreement(
             same = labels[::step][meet] == labelled[other][1][nearest[meet]]
             differing = points[::step][meet][~same], labels[::step][meet][~same]
             away_from.add(distances_to_parts(*differing, *labelled[other]), int(same.sum()))
-            counts[np.searchsorted(ANGLES_DEG, angles[number, other])] += same.sum(), len(same)
+            alike, compared = alike + int(same.sum()), compared + len(same)
         progress(number + 1, len(labelled))
-    names = [f"{low} to {high} degrees" for low, high in zip((0, *ANGLES_DEG), ANGLES_DEG, strict=False)]
     return {
-        "same": _share(counts.sum(axis=0)),
+        "same": _share(alike, compared),
         **{
-            f"within_{mm}_mm": _share(np.array([away_from.pixels - beyond, away_from.pixels]))
+            f"within_{mm}_mm": _share(away_from.pixels - beyond, away_from.pixels)
             for mm, beyond in zip(LIMITS_MM, away_from.beyond, strict=True)
         },
-        "points": int(counts[:, 1].sum()),
-        "by_angle": {name: _share(row) for name, row in zip(names, counts, strict=True)},
+        "points": compared,
     }
 
 
-def _share(counts: NDArray[np.int64]) -> float | None:
-    return round(float(counts[0] / counts[1]), 4) if counts[1] else None
+def _share(part: float, whole: float) -> float | None:
+    return round(float(part / whole), 4) if whole else None

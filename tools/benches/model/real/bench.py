@@ -14,14 +14,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import evenly_spaced
+from benches.measuring import Figures, evenly_spaced
 from benches.model.chosen import chosen_network
 from benches.model.real.agreement import agreement
-from benches.model.real.fusion import VOXEL_M, FusedSurface, fitted, fuse, residuals_m
+from benches.model.real.fusion import VOXEL_M, FusedSurface, fitted, fuse, residual_m
 from benches.model.real.labels import Placements, frame_labels, load_placements, repeatability, surface_labels
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
@@ -58,28 +58,19 @@ class Shown:
     answer: Labels
 
 
-class Results(dict[str, Any]):
-    """The figures, and beside them, for the picture alone, some frames with labels, which no file holds."""
-
-    def __init__(self, content: dict[str, Any], shown: list[Shown]) -> None:
-        super().__init__(content)
-        self.shown = shown
-
-
 def bench_real(
     data: str,
     views: int = _FRAMES,
     runs: Sequence[Path] = (),
     flip_average: bool = False,
     progress: ProgressCallback = silent,
-) -> Results:
+) -> Figures:
     """Score a network on a recording of one still person, by labels of the surface that its frames show together.
 
     data: folder of frames with cameras, see `read_recording`. views: frames to use, evenly over the recording. runs:
     the network is in the first of them; without, it is the one that ships. flip_average: as `FlipAverage`. Raises
     BadConfig or BadLandmarks for a recording or landmarks that cannot be used; otherwise as `load_network`.
     """
-    check_int("the number of frames", views, 1)
     network_name, trained = chosen_network(runs, flip_average)
     placements = load_placements(Path(data))
     stored = read_recording(Path(data), views)
@@ -90,7 +81,7 @@ def bench_real(
         rough = fuse(turned)
         frames = fitted(turned, rough)
         fused = fuse(frames)
-        residuals = {"stored": residuals_m(turned, rough), "fitted": residuals_m(frames, fused)}
+        residuals = {"stored": residual_m(turned, rough), "fitted": residual_m(frames, fused)}
         of_surface = labels_of_surface(fused, placements)
         by_placement = in_frames(frames, fused, of_surface)
         truth = by_placement["mean"]
@@ -107,7 +98,7 @@ def bench_real(
     def errors(name: str, given: Sequence[Answer]) -> dict[str, Any]:
         return {"gross_errors": gross_errors(frames, by_placement[name], given, fused, of_surface[name])}
 
-    return Results(
+    return Figures(
         {
             "recording": Path(data).name,
             "frames": len(frames),
@@ -115,8 +106,7 @@ def bench_real(
             "mirrored": {"frames": mirrored, **_shadow_json(shadow)},
             "fusion": {
                 "voxel_mm": 1000 * VOXEL_M,
-                "vertices": len(fused.vertices),
-                "residual_mm": {name: _millimetres(each) for name, each in residuals.items()},
+                "residual_mm": {name: {"median": round(1000 * each, 2)} for name, each in residuals.items()},
             },
             "landmarks": described(placements, of_surface),
             "scores": scored(frames, truth, chosen) | errors("mean", chosen),
@@ -126,7 +116,6 @@ def bench_real(
             "gross_errors_by_placement": {name: errors(name, chosen)["gross_errors"] for name in by_placement},
             "scores_if_mirrored_otherwise": scored(frames, truth, answers[not mirrored]),
             "agreement": agreement(frames, [answer.labels for answer in chosen]),
-            "agreement_of_truth": agreement(frames, truth),
         },
         [Shown(frames[n], truth[n], chosen[n].labels) for n in evenly_spaced(range(len(frames)), _SHOWN)],
     )
@@ -252,16 +241,7 @@ def _same_size(one: Camera, other: Camera) -> bool:
 def _shadow_json(shadow: ProjectorShadow | None) -> dict[str, Any]:
     if shadow is None:
         return {"shadow": None}
-    return {
-        "shadow": {
-            side: {"width_px": round(shadow.width_px[side], 1), "baseline_mm": round(1000 * estimate.value, 1)}
-            for side, estimate in shadow.baseline_m.items()
-        }
-    }
-
-
-def _millimetres(values: NDArray[np.float64]) -> dict[str, float]:
-    return {"median": round(1000 * float(np.median(values)), 2), "worst_frame": round(1000 * float(values.max()), 2)}
+    return {"shadow": {side: {"width_px": round(width, 1)} for side, width in shadow.width_px.items()}}
 
 
 def _rounded(value: float) -> float | None:

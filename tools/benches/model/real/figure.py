@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from benches.model.real.bench import Results, Shown
+from benches.measuring import Figures
+from benches.model.real.bench import Shown
 from bodyseg_data.drawing import FAINT, INK, PAPER, draw_legend, font, save_picture
 from bodyseg_model.segmentation import draw_overlay
 
@@ -18,7 +19,7 @@ _TITLE: Final = 40
 _CAPTION: Final = 22
 
 
-def draw_real(figures: Results, path: Path) -> None:
+def draw_real(figures: Figures, path: Path) -> None:
     """Write a PNG of some frames: true labels beside the network's, and below them the parts' colours.
 
     Grey: the person where no label is certain. Raises BadConfig if the file cannot be written.
@@ -49,7 +50,7 @@ def draw_real(figures: Results, path: Path) -> None:
     save_picture(picture.quantize(256), path)
 
 
-def _title(figures: Results) -> str:
+def _title(figures: Figures) -> str:
     scores = figures["scores"]
     gross = _percent((scores["gross_errors"] or {}).get("beyond_30_mm"))
     return (

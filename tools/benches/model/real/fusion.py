@@ -93,8 +93,8 @@ def fitted(frames: Sequence[Frame], surface: FusedSurface) -> list[Frame]:
     return found
 
 
-def residuals_m(frames: Sequence[Frame], surface: FusedSurface) -> Floats:
-    """Median distance of each frame's points to the surface, along its normals, float64, metres; of frames that
+def residual_m(frames: Sequence[Frame], surface: FusedSurface) -> float:
+    """Median distance of a frame's points to the surface, along its normals, metres; the median of all frames that
     have enough of them there.
     """
     from scipy.spatial import KDTree
@@ -106,7 +106,7 @@ def residuals_m(frames: Sequence[Frame], surface: FusedSurface) -> Floats:
         away = ((points - surface.vertices[vertices]) * surface.normals[vertices]).sum(axis=1)
         if len(points) >= _LEAST_MATCHES:
             medians.append(np.median(np.abs(away)))
-    return np.array(medians)
+    return float(np.median(medians))
 
 
 def _volume(frames: Sequence[Frame], voxel_m: float) -> tuple[NDArray[np.float32], NDArray[np.bool_], Floats]:

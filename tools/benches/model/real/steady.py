@@ -22,7 +22,7 @@ from benches.model.real.fusion import FusedSurface, fitted, fuse
 from benches.model.real.labels import ON_SURFACE_M, load_placements
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Trained
@@ -85,7 +85,6 @@ def bench_steady(
     `FlipAverage`. Raises BadConfig or BadLandmarks for a recording or landmarks that cannot be used; MissingLibrary;
     otherwise as `load_network`.
     """
-    check_int("the number of frames", views, 2)
     network_name, trained = chosen_network(runs, flip_average)
 
     def half(number: int) -> ProgressCallback:

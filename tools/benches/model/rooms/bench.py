@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.measuring import Figures
 from benches.model.rooms.finders import Finder, Found, network_finder, segment_finder
 from benches.model.rooms.made import HELD_OUT, SEED, SENSORS, SETS, UNSEEN, make
 from benches.model.rooms.parts import mirrored_parts
@@ -66,17 +67,9 @@ class Failure:
     picture: Picture = field(repr=False)
 
 
-class Results(dict[str, Any]):
-    """The figures, and beside them, for the picture alone, failures, which no file holds."""
-
-    def __init__(self, content: dict[str, Any], failures: Sequence[Failure]) -> None:
-        super().__init__(content)
-        self.failures = failures
-
-
 def bench_rooms(
     views: int = 480, data: str | None = None, runs: Sequence[Path] = (), progress: ProgressCallback = silent
-) -> Results:
+) -> Figures:
     """Measure all `WAYS` in `views` made rooms, by processes, and in real frames, in this one.
 
     data: folder of real frames, with the room's; without, made rooms alone. runs: the first is the finder for the
@@ -108,7 +101,7 @@ def bench_rooms(
         times = _times(finders, None if data is None else Path(data))
     for name in WAYS:
         figures[name]["ms"] = times[name]
-    return Results(
+    return Figures(
         {
             "seed": SEED,
             "threshold": THRESHOLD,

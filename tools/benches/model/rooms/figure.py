@@ -5,25 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from benches.model.rooms.bench import Results
+from benches.measuring import Figures
 from benches.model.rooms.real import ROOM
-from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_chart
 
 _COLUMNS: Final = 5
 _COLOURS: Final = {"precision": "#c25a00", "recall": "#1f4fa8"}
 
 
-def draw_rooms(figures: dict[str, Any], path: Path) -> None:
+def draw_rooms(figures: Figures, path: Path) -> None:
     """Write a PNG of speed against precision and recall, above failures: found pixels green, wrongly labelled ones red,
     missed ones blue.
 
-    figures: what `bench_rooms` gave, since its JSON holds no images. Raises BadConfig for anything else, or if the file
-    cannot be written; MissingLibrary without matplotlib.
+    Raises BadConfig if the file cannot be written; MissingLibrary without matplotlib.
     """
-    if not isinstance(figures, Results):
-        raise BadConfig(f"only the results of bench_rooms hold images to draw, found a {type(figures).__name__}")
-    rows = -(-len(figures.failures) // _COLUMNS)
+    rows = -(-len(figures.shown) // _COLUMNS)
     figure = new_chart(13, 4.2 + 2.1 * rows)
     above, below = figure.subfigures(2, 1, height_ratios=(4.2, 2.1 * max(rows, 1)))
     charts: dict[str, list[Any]] = {"made rooms, things of unseen kinds": [], "the real room": []}
@@ -36,7 +32,7 @@ def draw_rooms(figures: dict[str, Any], path: Path) -> None:
     axes = below.subplots(max(rows, 1), _COLUMNS, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
-    for axis, failure in zip(axes, figures.failures, strict=False):
+    for axis, failure in zip(axes, figures.shown, strict=False):
         axis.imshow(failure.picture)
         axis.set_title(f"{failure.name}: {failure.wrong_m2:.1f} m² wrong", fontsize=8)
     save_chart(figure, path, dpi=100)

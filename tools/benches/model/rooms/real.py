@@ -1,13 +1,7 @@
-"""People found in real frames: a room in which a man walks about, and people of whom the background was cut away.
-
-Run as a program it measures one finder: `python -m benches.model.rooms.real --finder RUN --data FOLDER`.
-"""
+"""People found in real frames: a room in which a man walks about, and people of whom the background was cut away."""
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,12 +12,9 @@ from numpy.typing import NDArray
 from PIL import Image as Picture
 
 from benches.measuring import evenly_spaced
-from benches.model.rooms.finders import Finder, Image, network_finder, segment_finder
+from benches.model.rooms.finders import Finder, Image
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
-from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera, load_sensor
-from bodyseg_model.networks import load_network
-from bodyseg_model.segmentation.finder import shipped_finder
 
 THRESHOLDS: Final = 0.5, 0.7, 0.9
 """Least probabilities of a person at which pixels are counted."""
@@ -118,9 +109,7 @@ def nearby(person: Marks) -> Marks:
 
 
 def score_room(finder: Finder, frames: Sequence[RealFrame], thresholds: Sequence[float] = THRESHOLDS) -> dict[str, Any]:
-    """Precision and recall of pixels over all frames at each threshold, and bodies a frame; and of every frame, at the
-    first threshold, labelled pixels, those that are his, recall, and bodies. Shares are null of nothing.
-    """
+    """Precision and recall of pixels over all frames at each threshold, and bodies a frame; null of nothing."""
     answers = [finder(frame.range_m, frame.camera) for frame in frames]
     persons = sum(int(frame.person.sum()) for frame in frames)
     rows: dict[str, Any] = {}
@@ -133,32 +122,20 @@ def score_room(finder: Finder, frames: Sequence[RealFrame], thresholds: Sequence
             "recall": share(seen, persons),
         }
     bodies = [answer.bodies for answer in answers if answer.bodies is not None]
-    by_frame = {
-        frame.name: {
-            "labelled": int(each.sum()),
-            "his": int((each & frame.near).sum()),
-            "recall": share(int((each & frame.person).sum()), int(frame.person.sum())),
-            "bodies": answer.bodies,
-        }
-        for frame, answer in zip(frames, answers, strict=True)
-        for each in [answer.person >= thresholds[0]]
-    }
     bodies_a_frame = round(float(np.mean(bodies)), 2) if bodies else None
-    return {"frames": len(frames), "at": rows, "bodies_a_frame": bodies_a_frame, "by_frame": by_frame}
+    return {"frames": len(frames), "at": rows, "bodies_a_frame": bodies_a_frame}
 
 
 def score_cut(finder: Finder, frames: Sequence[RealFrame], threshold: float = THRESHOLDS[0]) -> dict[str, Any]:
-    """Share of people's pixels found over all frames, the least of a frame, and frames in which half of them are."""
+    """Share of people's pixels found over all frames, and frames in which half of them are."""
     found = [
         (int(((finder(frame.range_m, frame.camera).person >= threshold) & frame.person).sum()), int(frame.person.sum()))
         for frame in frames
     ]
-    shares = {frame.name: share(*counts) for frame, counts in zip(frames, found, strict=True)}
     return {
         "frames": len(frames),
-        "found": sum((each or 0) >= 0.5 for each in shares.values()),
+        "found": sum((share(*counts) or 0) >= 0.5 for counts in found),
         "recall": share(sum(seen for seen, _ in found), sum(whole for _, whole in found)),
-        "by_frame": shares,
     }
 
 
@@ -182,28 +159,3 @@ def real(
         frames = list(cut_frames(data / name, cut))
         figures[name] = score_cut(finder, frames, thresholds[0]) if frames else None
     return figures
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the figures of a finder's network alone, and of `segment` with it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--finder", type=Path, help="run's folder or weights (default: the one that ships)")
-    parser.add_argument("--data", type=Path, default=Path("../shared/data/real"), help="folder of real frames")
-    parser.add_argument("--step", type=int, default=1, help="compute one pixel in so many each way")
-    parser.add_argument("--json", type=Path, help="write all figures to this file")
-    options = parser.parse_args(arguments)
-    trained = load_network(options.finder) if options.finder else shipped_finder()
-    alone, whole = network_finder(trained.network, options.step), segment_finder(trained)
-    with torch_threads(1):
-        found = {"finder": real(alone, options.data), "segment": real(whole, options.data, THRESHOLDS[:1])}
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
-    for way, figures in found.items():
-        for name, row in figures.items():
-            shown = row and {key: value for key, value in row.items() if key != "by_frame"}
-            sys.stdout.write(f"{way}, {name}: {json.dumps(shown)}\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

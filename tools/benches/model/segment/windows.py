@@ -17,7 +17,7 @@ import torch
 from benches.measuring import counter
 from benches.model.chosen import chosen_network
 from benches.model.segment.bench import cameras, made_rooms
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
@@ -91,8 +91,8 @@ def bench_windows(
     """
     network_name, trained = chosen_network(runs)
     chosen = RangeImages(data, "all", split="test")
-    count = min(check_int("the number of images", images, 1), len(chosen))
-    advance = counter(progress, count + check_int("the number of rooms", views, 1))
+    count = min(images, len(chosen))
+    advance = counter(progress, count + views)
     camera = cameras()["640 x 480"]
 
     def from_set() -> Iterator[tuple[torch.Tensor, Score]]:

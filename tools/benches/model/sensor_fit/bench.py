@@ -13,7 +13,7 @@ from benches.measuring import evenly_spaced
 from benches.model.sensor_fit.recordings import Scene, Scenes, in_steps
 from bodyseg_data.artifacts import SensorModel, artifact_class
 from bodyseg_data.bodies import open_source
-from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_model.recordings import FrameCamera
 from bodyseg_model.sensor_fit import fit_sensor
@@ -81,14 +81,13 @@ def bench_sensor_fit(views: int = 1, progress: ProgressCallback = silent) -> dic
     """Fit every case in every scene.
 
     views: bodies of the open set. Returns, a case and scene, each wanted figure's true and found values, its relative
-    error (None where the artifact was not found), and which other artifacts were said to be needed. Raises BadConfig
-    for no body, MissingLibrary without Anny.
+    error (None where the artifact was not found), and which other artifacts were said to be needed. Raises
+    MissingLibrary without Anny.
     """
-    count = check_int("the number of bodies", views, 1)
     rig = replace(load_rig(RIG), range_step_mm=STEP_MM)
     cases = all_cases()
     source = open_source("open")
-    bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], count)
+    bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], views)
     rows: list[dict[str, Any]] = []
     total = len(bodies) * len(cases) * len(SCENES)
     for number, body in enumerate(bodies):

@@ -20,6 +20,7 @@ from typing import Any, Final
 
 import torch
 
+from benches.measuring import Figures
 from benches.model.ablation.conditions import AblationCondition, hard_condition
 from benches.model.ablation.costs import loading_ms
 from benches.model.chosen import parameters
@@ -27,12 +28,12 @@ from benches.model.people.bodies import annotated_bodies
 from benches.model.people.scores import packed_views
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
 from benches.model.variants.real import ALTERED as ALTERED_FRAMES
-from benches.model.variants.real import RealFrames, Shown, Values
+from benches.model.variants.real import RealFrames, Values
 from benches.model.variants.runs import Plan, Run, common_plan, origin, other_runs, runs_in, train
 from benches.model.variants.scores import SWEEPS, TABLE, Condition, Evaluator, Sweep
 from benches.model.variants.verdicts import ALTERED, REAL, RULE, Scores, differences, verdicts
 from bodyseg_data.artifacts import VARIANTS, VariantName
-from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
+from bodyseg_data.core import BadConfig, NotedProgress, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import Rig
 from bodyseg_model.evaluation import over_seeds
@@ -49,14 +50,6 @@ _PEOPLE_VIEWS: Final = 6
 _PEOPLE_POSES: Final = 10
 
 
-class Results(dict[str, Any]):
-    """The figures, and beside them, for the picture alone, real frames with labels, which no file holds."""
-
-    def __init__(self, content: dict[str, Any], shown: Sequence[Shown]) -> None:
-        super().__init__(content)
-        self.shown = shown
-
-
 def bench_variants(
     data: str,
     runs: tuple[Path, ...],
@@ -69,7 +62,7 @@ def bench_variants(
     people: Path | None = None,
     together: int = 1,
     progress: NotedProgress = silent,
-) -> Results:
+) -> Figures:
     """Train what is missing in the first folder of `runs`, then evaluate every network on the first `images` of `data`.
 
     Trainings are RUNS/VARIANT-SEED, carry on where they were cut, and share the recipe of those that are there, or else
@@ -80,11 +73,9 @@ def bench_variants(
     rig. people: folder of meshes with landmarks, see `annotated_bodies`. together: processes that score networks side
     by side.
 
-    Raises BadConfig for wrong numbers, no finished training where nothing is to be trained, or trainings that differ in
-    more than they may; otherwise as training and evaluating do.
+    Raises BadConfig for no finished training where nothing is to be trained, or trainings that differ in more than
+    they may; otherwise as training and evaluating do.
     """
-    check_int("the number of test images", images, 1)
-    check_int("the number of processes together", together, 1)
     planned = runs_in(runs[0], seeds)
     trainings = [run for run in planned if run.finished] if only_finished else planned
     if not trainings:
@@ -104,7 +95,7 @@ def bench_variants(
         measured = _measured(work, together)
     measured["missing"] = [run.name for run in planned if not run.finished]
     shown = () if recordings is None else recordings.shown({run.row: run.path for run in reversed(trainings)})
-    return Results(measured, shown)
+    return Figures(measured, shown)
 
 
 class _Work:
@@ -133,9 +124,6 @@ class _Work:
             for row, sensors in self.sensors.items()
             if len(sensors) == 1
         ]
-
-    def __repr__(self) -> str:
-        return f"_Work({len(self.everything)} trainings, {self.test_images} images)"
 
     @property
     def rig(self) -> Rig:
@@ -260,7 +248,6 @@ def _measured(work: _Work, together: int) -> dict[str, Any]:
             for row, each in measures.items()
             if "none" in each
         },
-        "subsets": _subsets(everyone, trained_on),
         "sweeps": {name: _curves(everyone, sweep, trained_on) for name, sweep in SWEEPS.items()},
         "real": {
             row: {
@@ -318,16 +305,6 @@ def _curves(scores_of: ScoresOf, sweep: Sweep, trained_on: Sequence[VariantName]
         "strengths": list(sweep.strengths),
         "curves": curves,
     }
-
-
-def _subsets(scores_of: ScoresOf, trained_on: Sequence[VariantName]) -> Tree:
-    """Accuracy on each subset of the test images of `all`, by training variant (Fig. 6); null for one too small."""
-    found: Tree = {}
-    for variant in trained_on:
-        rows = [each["subsets"] for each in scores_of(variant, TABLE["all"])]
-        values = {name: [row[name]["average_per_class_accuracy"] for row in rows] for name in rows[0]}
-        found[variant] = {name: None if None in each else over_seeds(each) for name, each in values.items()}
-    return found
 
 
 @dataclass

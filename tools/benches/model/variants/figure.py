@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 from benches.charts.legends import legend_line
 from benches.charts.scales import thousands
-from benches.model.variants.bench import Results
+from benches.measuring import Figures
 from benches.model.variants.real import Shown
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.drawing import (
@@ -67,7 +67,7 @@ _HEAD: Final = 22  # of a panel's title
 _SIDE: Final = 170  # longest side of a panel, pixels: the frames' licence allows small pictures
 
 
-def draw_variants(figures: Results, path: Path) -> None:
+def draw_variants(figures: Figures, path: Path) -> None:
     """Write a PNG of `bench_variants`'s results: a panel for each sweep, a curve for each variant, and the table of
     test sets; and, if there are real frames, one beside it, NAME_real.png, of some of them (Fig. 9).
 

@@ -163,9 +163,6 @@ class RealFrames:
         if not self.names:
             raise BadConfig(f"--real must hold folders of frames, {', '.join(RECORDINGS)}, found none in {folder}")
 
-    def __repr__(self) -> str:
-        return f"RealFrames({', '.join(self.names)})"
-
     @cached_property
     def recordings(self) -> dict[str, Recording]:
         """The recordings by name."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 from benches.model.chosen import recipe_from_json
 from bodyseg_data.artifacts import VARIANTS, SensorModel, VariantName, sensor_model_from_json
 from bodyseg_data.commands import provenance
-from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.core import BadConfig
 from bodyseg_data.files import last_name, read_json
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import build
@@ -89,8 +89,7 @@ class Plan:
 
 def runs_in(folder: Path, seeds: int) -> list[Run]:
     """The trainings of every variant with seeds 0, 1 ..., all variants of a seed together. Raises BadConfig."""
-    numbers = range(check_int("the number of seeds", seeds, 1))
-    return [Run(variant, seed, folder / f"{variant}-{seed}", variant) for seed in numbers for variant in VARIANTS]
+    return [Run(variant, seed, folder / f"{variant}-{seed}", variant) for seed in range(seeds) for variant in VARIANTS]
 
 
 def other_runs(folders: Sequence[Path], seeds: int) -> list[Run]:
