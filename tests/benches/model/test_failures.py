@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +37,6 @@ from samples import body_info
 from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.bodies import open_source
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
-from bodyseg_data.core import MissingLibrary
 from bodyseg_data.labels import BACKGROUND, PARTS
 from bodyseg_data.meshes import partition
 from bodyseg_data.rigs import Camera
@@ -75,12 +73,6 @@ def test_window_sums_against_a_search() -> None:
     for row in range(17):
         for column in range(11):
             assert found[row, column] == mask[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5].sum()
-
-
-def test_scikit_image_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "skimage.transform", None)
-    with pytest.raises(MissingLibrary, match=r"needs the package 'scikit-image': pip install 'bodyseg\[bench\]' \("):
-        window_sums(np.ones((3, 3), np.bool_), 1)
 
 
 def test_distance_to_the_edges_that_a_body_touches() -> None:

@@ -76,8 +76,8 @@ def test_times_by_people_are_without_the_first_frame_and_without_writing() -> No
     times = [(1, 900.0, 1.0), (2, 20.0, 5.0), (1, 10.0, 5.0), (2, 31.0, 5.0)]
     each = [{"people": people, "ms": {"read": 1.0, "network": ms, "write": write}} for people, ms, write in times]
     assert by_people(each) == {
-        "1": {"frames": 1, "mean": 11.0, "greatest": 11.0},
-        "2": {"frames": 2, "mean": 26.5, "greatest": 32.0},
+        "1": {"mean": 11.0},
+        "2": {"mean": 26.5},
     }
 
 
@@ -113,7 +113,7 @@ def test_the_bench_runs_every_way_and_draws(
         assert set(ways) == set(ways_by_torch)
         assert set(size["live"]) == set(live_by_torch)
         for way in (each[order] for each in size["live"].values() for order in ("one by one", "ahead")):
-            assert 0 < way["p50_ms"] <= way["p95_ms"] and way["processor_ms"] > 0 < way["frames_per_second"]
+            assert 0 < way["p50_ms"] <= way["p95_ms"] and way["frames_per_second"] > 0
         for way in ways.values():
             assert way["rounds"] == [way["frames_per_second"]]
             assert set(way["ms"]) == {*STAGES, "frame"} and way["people"] == 1
@@ -121,7 +121,6 @@ def test_the_bench_runs_every_way_and_draws(
         accuracies = [{key: ways[way][key] for key in ("found", "right", "thing_pixels")} for way in same]
         assert all(each == accuracies[0] for each in accuracies), "loops, load and pictures change no label"
         assert ways["things labelled, too"]["found"] == 1 and ways["things labelled, too"]["thing_pixels"] > 0
-        assert ways["no pictures"]["bytes_a_frame"] < ways["float32"]["bytes_a_frame"]
     draw_segment(figures, tmp_path / "segment.png")
     picture = part(decoded(tmp_path / "segment.png"), across=(0, 0.62), down=(0, 0.9))
     longest = max(

@@ -49,8 +49,6 @@ def test_margins_are_compared_on_the_set_and_in_rooms(
     assert [len(found["sets"][name]["margins"]) for name in ("set", "rooms")] == [len(MARGINS)] * 2
     assert (found["sets"]["set"]["bodies"], found["sets"]["rooms"]["bodies"]) == (3, 2)
     for of in found["sets"].values():
-        pixels = [row["pixels"] for row in of["margins"]]
-        assert pixels == sorted(pixels) and pixels[-1] == 1
         assert (of["margins"][-1]["less"], of["margins"][-1]["less_error"]) == (0, 0)
     for of in found["sets"].values():  # points apart from each other, however long this machine took
         for number, row in enumerate(of["margins"], 1):

@@ -184,40 +184,26 @@ COMMAND: Final = (
 def kill_at_instants(folder: Path, count: int, seed: int, step: Callable[[], None]) -> dict[str, Any]:
     """Kill the whole process group of the command `count` times, at instants spread over the time that it writes.
 
-    A killed packing is carried on with and killed again, until one comes to its end; then another is begun. shards:
-    how many were finished at each kill.
+    A killed packing is carried on with and killed again, until one comes to its end; then another is begun.
     """
     out = folder / "whole"
     lasted = _run([*COMMAND, str(out)], out, None)[1]
     whole = contents(out)
     generator = np.random.default_rng(seed)
-    kills: list[float] = []
-    shards: list[int] = []
+    kills = 0
     wrong: list[str] = []
-    sets = 0
     out = folder / "out"
-    while len(kills) < count:
-        ended, after_s = _run([*COMMAND, str(out)], out, float(generator.uniform(0, lasted)))
+    while kills < count:
+        ended, _ = _run([*COMMAND, str(out)], out, float(generator.uniform(0, lasted)))
         wrong += left_over(out, whole)
         if ended:
             wrong += _finished(out, whole)
-            sets += 1
             continue
-        kills.append(round(after_s, 3))
-        shards.append(len(list(out.glob("*.tar"))))
+        kills += 1
         step()
     _run([*COMMAND, str(out)], out, None)
     wrong += _finished(out, whole)
-    return {
-        "seed": seed,
-        "kills": count,
-        "sets": sets + 1,
-        "undisturbed_s": round(lasted, 3),
-        "after_s": kills,
-        "shards": shards,
-        "shards_in_all": len(whole) - 1,
-        "faults": wrong,
-    }
+    return {"kills": count, "faults": wrong}
 
 
 def _finished(out: Path, whole: dict[str, str]) -> list[str]:

@@ -40,8 +40,8 @@ class CountedFolder(RemoteFolder):
 def bench_reading(data: str, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Requests and bytes of one epoch of `RANKS` ranks over the set `data`, a local folder, and costs of opening sets.
 
-    ranks: for each number of ranks that share a machine, and so a cache, requests, bytes sent over the bytes of the
-    set, and shards that a rank reads of; the row without a cache reads samples by byte range. opening: for sets of
+    ranks: for each number of ranks that share a machine, and so a cache, requests and bytes sent over the bytes of the
+    set; the row without a cache reads samples by byte range. opening: for sets of
     `SIZES` samples, without and with an index, and for one of `LARGEST` with an index; fits: lines through those
     without, and their value for `LARGEST` samples. Raises BadConfig for a set with fewer samples than ranks.
     """
@@ -79,25 +79,19 @@ def _epoch(images: RangeImages, folder: Path, group: int | None) -> dict[str, An
     shards = {shard.name: shard for shard in read_manifest(folder).shards}
     index = {name: {offset: number for number, offset in enumerate(shard.offsets)} for name, shard in shards.items()}
     chosen = [shards[name] for name in sorted({images.location(each)[0] for each in range(len(images))})]
-    touched = 0
     with tempfile.TemporaryDirectory() as caches:
         for rank in range(RANKS):
             place = Path(caches) / str(rank // group) if group else None
             cached = with_cache(store, chosen, place, None if group else 0)
-            own = set()
             for requests in images.batches(BATCH, rank=rank, world_size=RANKS):
                 for _, sample in requests:
                     name, _, offset = images.location(sample)
                     number = index[name][offset]
                     check_bytes(cached.read(name, offset, shards[name].lengths[number]), shards[name], number)
-                    own.add(name)
-            touched += len(own)
             images.set_epoch(0)
     return {
         "ranks_a_machine": group,
         "requests": store.requests,
         "bytes": store.sent,
         "times_the_set": round(store.sent / sum(shard.size for shard in chosen), 3),
-        "shards_a_rank": round(touched / RANKS, 2),
-        "shards": len(chosen),
     }

@@ -8,7 +8,6 @@ when its first body is done, which is rendered alone.
 from __future__ import annotations
 
 import operator
-import resource
 import statistics
 import time
 from collections.abc import Sequence
@@ -55,7 +54,6 @@ def bench_render(views: int = 486, progress: ProgressCallback = silent) -> dict[
         renderers = alone.executor.submit(measure_renderers, packing, few, grid, evenly_spaced(grid, 9)).result()
     tick()
     rates: dict[str, list[float]] = {"ours": [], "plain": []}
-    memory: dict[str, float | None] = {"ours": None, "plain": None}
     sizes: dict[str, float | None] = {"ours": None, "plain": None}
     ways = {"ours": _pack_round} | ({} if missing else {"plain": _plain_round})
     with open_engine(PROCESSES, _WORKERS, packing) as ours, open_engine(PROCESSES, _WORKERS, packing) as plain:
@@ -73,7 +71,6 @@ def bench_render(views: int = 486, progress: ProgressCallback = silent) -> dict[
                     rate, size = way(packing, bodies, grid, executors[name], Path(folder))
                 rates[name].append(rate)
                 sizes[name] = round(size)
-                memory[name] = max(memory[name] or 0.0, _peak_of(executors[name]))
                 tick()
     errors = None if missing else _errors(packing, few, evenly_spaced(grid, 9))
     progress(total, total)
@@ -90,17 +87,10 @@ def bench_render(views: int = 486, progress: ProgressCallback = silent) -> dict[
         "stages": stages,
         "steps": chain,
         "bytes_per_view": sizes,
-        "peak_mb_per_worker": memory,
-        "rounds": {name: [round(value, 2) for value in values] for name, values in rates.items()},
         "views": len(grid) * len(bodies),
         "bodies": len(bodies),
         "workers": _WORKERS,
         **renderers,
-        "units": {
-            "stages": "ms of processor a view, one process",
-            "steps": "ms of processor a view, without the mesh",
-            "renderers": "ms of processor a view, camera and projector, one process",
-        },
     }
 
 
@@ -187,13 +177,3 @@ def _why_no_pyrender() -> str | None:
     except MissingLibrary as error:
         return str(error)
     return None
-
-
-def _peak_of(executor: Executor) -> float:
-    """The most memory that any worker has held, MB."""
-    return max(job.result() for job in [executor.submit(_peak_mb) for _ in range(4 * _WORKERS)])
-
-
-def _peak_mb() -> float:
-    time.sleep(0.02)  # so that every worker gets a job
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)

@@ -60,7 +60,6 @@ def bench_clothes(mit: Path | None = None, progress: ProgressCallback = silent) 
         moved = np.concatenate(away)
         figures[subject] = {
             "roughness_mm": {name: _percentiles(np.concatenate(values)) for name, values in rough.items()},
-            "covered_vertices": round(float((moved > 0).mean()), 3),
             "distance_mm": _percentiles(moved[moved > 0] * 1e3),
         }
     if scanned:

@@ -19,7 +19,7 @@ from benches.data.surface.areas import part_areas
 from benches.landmarks.proposal import Proposal, propose
 from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
-from bodyseg_data.labels import LANDMARKS, PARTS
+from bodyseg_data.labels import PARTS
 from bodyseg_data.meshes import Mesh, partition, with_pymeshlab
 
 OPEN: Final = (
@@ -42,10 +42,10 @@ Placed = tuple[str, Mesh, NDArray[np.float64]]
 
 
 def bench_proposal(mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
-    """Error in centimetres of every body: median, mean and worst landmark, and its name; {"bodies": {NAME: {...}}}.
+    """Error in centimetres of every body: median and worst landmark; {"bodies": {NAME: {...}}}.
 
     swapped: landmarks of a pair that are nearer to the other one's position. wrong_surface: share of the surface that
-    proposed landmarks label otherwise. gap_cm: the fit's (`FittedBody`). seconds: processor time. mit: folder of MIT
+    proposed landmarks label otherwise. seconds: processor time. mit: folder of MIT
     frames, measured on as well. Raises BadConfig for frames that are not there.
     """
     total = len(OPEN) + len(HARD) + (len(MIT) if mit else 0)
@@ -74,13 +74,10 @@ def measure(mesh: Mesh, positions: NDArray[np.float64], proposal: Proposal) -> d
     differ = (labels[0] != labels[1]).astype(np.uint8)
     return {
         "median_cm": round(float(np.median(error)), 2),
-        "mean_cm": round(float(error.mean()), 2),
         "worst_cm": round(float(error.max()), 1),
-        "worst": LANDMARKS[int(error.argmax())],
         "beyond_8_cm": int((error > 8).sum()),
         "swapped": int(swapped.sum()),
         "wrong_surface": round(float(part_areas(mesh, differ)[1]), 3),
-        "gap_cm": round(100 * proposal.gap_m, 1),
     }
 
 

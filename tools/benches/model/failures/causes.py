@@ -34,12 +34,11 @@ NOISE_MM: Final = 60.0
 
 @dataclass(frozen=True)
 class Cause:
-    """One cause. rule: when it holds. mend: what would most probably mend it."""
+    """One cause. rule: when it holds."""
 
     name: str
     about: About
     rule: str
-    mend: str
 
 
 CAUSES: Final = (
@@ -47,63 +46,53 @@ CAUSES: Final = (
         "lost_data",
         "a place",
         f"less than {LEAST_MEASURED:.0%} of the body's pixels within {NEAR_PX} rows and columns were measured",
-        "a sensor with fewer holes, or several frames; no label can be had from what was not seen",
     ),
     Cause(
         "out_of_frame",
         "a place",
         f"within {FRAME_PX} px of an edge of the image that the body touches",
-        "training on bodies cut by the image's edge at more places",
     ),
     Cause(
         "grazing",
         "a place",
         f"the clean surface is seen at more than {GRAZING_DEG:.0f} degrees from its normal",
-        "a finer image: a pixel covers three times as much of the body there",
     ),
     Cause(
         "contact",
         "a place",
         f"a part that does not adjoin on the body within {NEAR_PX} rows and columns of the clean labels",
-        "training on more limbs before and on the trunk and on each other",
     ),
     Cause(
         "border",
         "a place",
         f"within {BORDER_PX} px of a pixel of another part in the clean labels",
-        "answers finer than one in 4 x 4 pixels; a part of it is the rounding of labels",
     ),
     Cause(
         "left/right",
         "a mistake",
         f"named as the mirror part, which is not within {NEAR_PX} rows and columns",
-        "a wider view of the body; more bodies seen from behind and from the side",
     ),
     Cause(
         "front/back",
         "a mistake",
         f"a front part for a back one, or the reverse, and none of it within {NEAR_PX} rows and columns",
-        "a wider view of the body; more bodies seen from behind, from the side, and bent",
     ),
     Cause(
         "pose",
         "an image",
         f"some segment of the body points more than {NEW_POSE_DEG:.0f} degrees elsewhere than in any training body",
-        "training on such poses",
     ),
     Cause(
         "noise",
         "an image",
         f"sigma of the image's noise above {NOISE_MM:.0f} mm",
-        "a better sensor, or several frames",
     ),
     Cause(
         "border_moved",
         "a mistake",
         f"named as another part that is within {NEAR_PX} rows and columns",
-        "more people: where a part ends is a matter of their shape",
     ),
-    Cause("unexplained", "a mistake", "none of the above", "unknown"),
+    Cause("unexplained", "a mistake", "none of the above"),
 )
 """In the order in which they are tried: the first whose rule holds is a pixel's cause."""
 

@@ -19,7 +19,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Draws, MissingLibrary, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, Draws, MissingLibrary
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import compiled
@@ -31,8 +31,6 @@ FAR_M: Final = np.float32(10.0)
 
 SHOTTONS_IMAGES: Final = 900_000
 """300 000 for each of three trees."""
-
-_AT_ONCE: Final = 100  # images between two reports
 
 
 @dataclass(frozen=True)
@@ -53,15 +51,6 @@ class ForestScale:
     depth: int = 20
     leaf: int = 5
     window: int = 11
-
-    def __post_init__(self) -> None:
-        for name in ("images", "pixels", "candidates", "tried", "trees", "depth", "leaf"):
-            if not 1 <= getattr(self, name) <= 10**7:
-                raise BadConfig(f"{name} of a forest must be at least 1, found {getattr(self, name)!r}")
-        if self.window not in range(1, 64, 2):
-            raise BadConfig(f"window of a forest must be odd and at most 63, found {self.window!r}")
-        if self.tried > self.candidates:
-            raise BadConfig(f"a forest has {self.candidates} candidates and cannot try {self.tried} at each split")
 
 
 def smoothed(range_m: NDArray[np.float32], window: int) -> NDArray[np.float32]:
@@ -206,18 +195,11 @@ def _compiled_walk() -> Any:
     return compiled(walk, "the forest")
 
 
-def fit_forest(
-    images: RangeImages,
-    scale: ForestScale | None = None,
-    seed: int = 0,
-    progress: ProgressCallback = silent,
-) -> DepthForest:
+def fit_forest(images: RangeImages, scale: ForestScale, seed: int = 0) -> DepthForest:
     """A forest grown on pixels of `images` as their epoch shows them, on one processor.
 
-    progress: called with images read and images to read. Raises BadConfig for fewer images than the scale asks for,
-    MissingLibrary without scikit-learn.
+    Raises BadConfig for fewer images than the scale asks for, MissingLibrary without scikit-learn.
     """
-    scale = scale or ForestScale()
     if len(images) < scale.images:
         raise BadConfig(f"a forest of {scale.images} training images needs as many, found {len(images)}")
     ensemble = _ensemble()
@@ -225,15 +207,13 @@ def fit_forest(
     features = np.empty((scale.images * scale.pixels, scale.candidates), np.float32)
     labels = np.empty(len(features), np.uint8)
     filled = 0
-    for done, index in enumerate(images.order(images.epoch)[: scale.images].tolist(), start=1):
+    for index in images.order(images.epoch)[: scale.images].tolist():
         image = images.image(index)
         chosen = _spread_over_parts(image.labels, scale.pixels, Draws(seed, 0, image.key).generator("forest pixels"))
         here = slice(filled, filled + len(chosen))
         features[here] = depth_differences(smoothed(metres(image.range, images.step_m), scale.window), chosen, offsets)
         labels[here] = image.labels.ravel()[chosen]
         filled = here.stop
-        if done % _AT_ONCE == 0 or done == scale.images:
-            progress(done, scale.images)
     forest = ensemble.RandomForestClassifier(
         scale.trees,
         max_depth=scale.depth,

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.real.recording import Frame
-from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.evaluation import GrossErrors, distances_to_parts
 from bodyseg_model.evaluation.gross_errors import LIMITS_MM
@@ -23,9 +22,7 @@ MEET_M: Final = 0.006
 _POINTS: Final = 1500  # of a frame that are looked up in each other one
 
 
-def agreement(
-    frames: Sequence[Frame], answers: Sequence[NDArray[np.uint8]], progress: ProgressCallback = silent
-) -> dict[str, Any]:
+def agreement(frames: Sequence[Frame], answers: Sequence[NDArray[np.uint8]]) -> dict[str, Any]:
     """Share of points with one label, of those that two frames up to `MOST_DEG` apart see; and of those whose label is
     within the limits of gross errors of them in the other frame.
 
@@ -53,7 +50,6 @@ def agreement(
             differing = points[::step][meet][~same], labels[::step][meet][~same]
             away_from.add(distances_to_parts(*differing, *labelled[other]), int(same.sum()))
             alike, compared = alike + int(same.sum()), compared + len(same)
-        progress(number + 1, len(labelled))
     return {
         "same": _share(alike, compared),
         **{

@@ -13,7 +13,7 @@ from PIL import Image as Picture
 
 from benches.measuring import evenly_spaced
 from benches.model.rooms.finders import Finder, Image
-from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import Camera, load_sensor
 
 THRESHOLDS: Final = 0.5, 0.7, 0.9
@@ -144,18 +144,12 @@ def share(part: float, whole: float) -> float | None:
     return round(part / whole, 4) if whole else None
 
 
-def real(
-    finder: Finder,
-    data: Path,
-    thresholds: Sequence[float] = THRESHOLDS,
-    progress: ProgressCallback = silent,
-) -> dict[str, Any]:
+def real(finder: Finder, data: Path, thresholds: Sequence[float] = THRESHOLDS) -> dict[str, Any]:
     """Figures of all real frames below a folder; those of a folder that is not there are null. Raises BadConfig without
     the room's.
     """
     figures: dict[str, Any] = {ROOM: score_room(finder, room_frames(data / ROOM), thresholds)}
-    for done, (name, cut) in enumerate(CUTS.items()):
-        progress(done + 1, 1 + len(CUTS))
+    for name, cut in CUTS.items():
         frames = list(cut_frames(data / name, cut))
         figures[name] = score_cut(finder, frames, thresholds[0]) if frames else None
     return figures

@@ -173,23 +173,19 @@ def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence
         "ms": {stage: times[stage] for stage in (*STAGES, "frame")},
         "ms_by_people": by_people(summary["each"]),
         "frames_per_second": summary["frames_per_second"],
-        "bytes_a_frame": round(sum(file.stat().st_size for file in out.rglob("*.png")) / len(rooms)),
         **accuracy(rooms, labels, 1 / camera.focal_px),
     }
 
 
 def by_people(each: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Milliseconds from the file to the labels, by the number of people that got labels: frames, mean and greatest.
+    """Mean milliseconds from the file to the labels, by the number of people that got labels.
 
     each: of the summary. The first frame does not count, as in the summary's own times.
     """
     times: dict[int, list[float]] = {}
     for frame in each[1:]:
         times.setdefault(frame["people"], []).append(sum(ms for stage, ms in frame["ms"].items() if stage != "write"))
-    return {
-        str(people): {"frames": len(ms), "mean": round(float(np.mean(ms)), 2), "greatest": round(max(ms), 2)}
-        for people, ms in sorted(times.items())
-    }
+    return {str(people): {"mean": round(float(np.mean(ms)), 2)} for people, ms in sorted(times.items())}
 
 
 @contextlib.contextmanager

@@ -44,21 +44,19 @@ class Sensor:
 def live(labeller: FrameLabeller, camera: Camera, frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
     """Age of frames when their labels are there, ms, and frames a second, with and without `ahead`, in turns.
 
-    Every frame is shown `_ROUNDS` times each way; the first of each round is left out. processor_ms: processor time of
-    a frame, of all threads.
+    Every frame is shown `_ROUNDS` times each way; the first of each round is left out.
     """
     ages: dict[bool, list[float]] = {False: [], True: []}
-    seconds, processor_s = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+    seconds = {False: 0.0, True: 0.0}
     for _ in range(_ROUNDS):
         for ahead in ages:
             sensor = Sensor(frames, len(frames) + 1)
             stream = labeller.stream(sensor, camera, ahead=ahead)
             next(stream)
-            start, busy = time.perf_counter(), time.process_time()
+            start = time.perf_counter()
             for number, _answer in enumerate(stream, 1):
                 ages[ahead].append(time.perf_counter() - sensor.came[number])
             seconds[ahead] += time.perf_counter() - start
-            processor_s[ahead] += time.process_time() - busy
     return {
         "sensor_rate": RATE,
         **{
@@ -66,7 +64,6 @@ def live(labeller: FrameLabeller, camera: Camera, frames: Sequence[NDArray[np.fl
                 "frames_per_second": round(len(ages[ahead]) / seconds[ahead], 2),
                 "p50_ms": round(1000 * float(np.median(ages[ahead])), 1),
                 "p95_ms": round(1000 * float(np.quantile(ages[ahead], 0.95)), 1),
-                "processor_ms": round(1000 * processor_s[ahead] / len(ages[ahead]), 1),
             }
             for name, ahead in (("one by one", False), ("ahead", True))
         },

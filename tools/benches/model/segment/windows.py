@@ -34,21 +34,20 @@ Score = Callable[[torch.Tensor], float]
 
 
 class Windowed(Network):
-    """Gives a network the window around the body of an image, with a margin. pixels: of all windows so far."""
+    """Gives a network the window around the body of an image, with a margin."""
 
     def __init__(self, network: Network, margin: int | None) -> None:
         super().__init__({}, network.classes)
         self.output_stride = network.output_stride
-        self.network, self.margin, self.pixels = network, margin, 0
+        self.network, self.margin = network, margin
         self.eval()
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores of a window, and 0 around it; see `Network.scores`."""
-        measured = range_m[0, 0] > 0
-        rows, columns = self._window(measured.any(1)), self._window(measured.any(0))
-        self.pixels += (rows.stop - rows.start) * (columns.stop - columns.start)
         if self.margin is None:
             return self.network.scores(range_m)
+        measured = range_m[0, 0] > 0
+        rows, columns = (self._window(seen, self.margin) for seen in (measured.any(1), measured.any(0)))
         found = self.network.scores(range_m[:, :, rows, columns])
         step = self.output_stride
         whole = found.new_zeros(*found.shape[:2], *(-(-side // step) for side in range_m.shape[2:]))
@@ -56,13 +55,12 @@ class Windowed(Network):
         whole[:, :, top : top + found.shape[2], left : left + found.shape[3]] = found
         return whole
 
-    def _window(self, seen: torch.Tensor) -> slice:
+    @staticmethod
+    def _window(seen: torch.Tensor, margin: int) -> slice:
         """Window along one axis, from what is measured there, bool [N], somewhere True."""
-        if self.margin is None:
-            return slice(0, len(seen))
         (found,) = torch.nonzero(seen, as_tuple=True)
-        first = max(0, int(found[0]) - self.margin) // _MULTIPLE * _MULTIPLE
-        return slice(first, min(len(seen), int(found[-1]) + 1 + self.margin))
+        first = max(0, int(found[0]) - margin) // _MULTIPLE * _MULTIPLE
+        return slice(first, min(len(seen), int(found[-1]) + 1 + margin))
 
 
 @dataclass
@@ -132,7 +130,7 @@ def _scored(truth: torch.Tensor, pixels: torch.Tensor | None = None) -> Score:
 
 def _measured(network: Network, bodies: Iterator[tuple[torch.Tensor, Score]]) -> dict[str, Any]:
     """Every margin's share of pixels right, mean over bodies, its difference from whole images with its standard
-    error, median processor time, ms, and pixels computed as a share of those of whole images.
+    error, and median processor time, ms.
     """
     rows = [_Row(Windowed(network, margin)) for margin in MARGINS]
     for number, (range_m, score) in enumerate(bodies):
@@ -148,7 +146,6 @@ def _measured(network: Network, bodies: Iterator[tuple[torch.Tensor, Score]]) ->
                 "less": round(float(np.mean(less)), 4),
                 "less_error": round(float(np.std(less) / len(less) ** 0.5), 4),
                 "ms": round(1000 * float(np.median(row.seconds)), 2),
-                "pixels": round(row.network.pixels / whole.network.pixels, 3),
             }
             for row, less in ((row, np.subtract(whole.shares, row.shares)) for row in rows)
         ],
