@@ -9,8 +9,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from bodyseg_data.core import ProgressCallback
-
 _T = TypeVar("_T")
 
 
@@ -26,14 +24,17 @@ _STRIDE: Final = 23  # has no divisor in common with 54 views, so few of them al
 _SIBLINGS: Final = Path("/sys/devices/system/cpu/cpu0/topology/thread_siblings_list")
 
 
-def counter(progress: ProgressCallback, total: int) -> Callable[..., None]:
-    """A function that counts one more piece of work as done, or as many as it is given, and reports how many are."""
+def counter(progress: Callable[..., None], total: int) -> Callable[..., None]:
+    """A function that counts one more piece of work as done, or as many as it is given, and reports how many are.
+
+    Notes that it is given go to a progress that takes them.
+    """
     done = 0
 
-    def advance(count: int = 1) -> None:
+    def advance(count: int = 1, *note: str) -> None:
         nonlocal done
         done += count
-        progress(done, total)
+        progress(done, total, *note)
 
     return advance
 

@@ -40,7 +40,7 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Small frames, one thread, five rounds, one run before each, a small forest; what ships is a tiny network."""
     monkeypatch.setattr(bench, "processors", lambda: 1)
     monkeypatch.setattr(bench, "typical_frames", lambda count: [person() for _ in range(count)])
-    monkeypatch.setattr(bench, "MOST_ROUNDS", LEAST_ROUNDS)
+    monkeypatch.setattr(network_times, "MOST_ROUNDS", LEAST_ROUNDS)
     monkeypatch.setattr(network_times, "WARM_S", 0.0)
     monkeypatch.setattr(bench, "ForestScale", small_forest)
     shipped = tmp_path / "shipped.safetensors"

@@ -339,14 +339,16 @@ def test_folders_that_do_not_fit_are_one_line(shop: Workshop) -> None:
         shop.run()
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"steps": {"x": {}}}', '{"steps": {"x": {"made": 1}}}'])
-def test_records_that_cannot_be_read_are_one_line(shop: Workshop, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is not JSON"),
+        ("[]", "must hold a JSON object"),
+        ('{"steps": {"x": {"made": {}}}}', "holds no records of steps: "),
+        ('{"steps": 1}', "holds no records of steps: "),
+    ],
+)
+def test_records_that_cannot_be_read_are_one_line(shop: Workshop, text: str, message: str) -> None:
     (shop.home / "results" / "steps.json").write_text(text)
-    with pytest.raises(BadConfig, match=r"steps\.json holds no records of steps: "):
-        shop.run(list=True)
-
-
-def test_a_record_without_a_field_is_one_line(shop: Workshop) -> None:
-    (shop.home / "results" / "steps.json").write_text('{"steps": {"x": {"made": {}}}}')
-    with pytest.raises(BadConfig, match=r"steps\.json: x is no record of a step: KeyError"):
+    with pytest.raises(BadConfig, match=rf"steps\.json {message}"):
         shop.run(list=True)

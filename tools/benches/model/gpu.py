@@ -10,7 +10,6 @@ import statistics
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -19,18 +18,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.measuring import counter
 from benches.model.chosen import parameters
-from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, stretched, typical_frames
-from benches.model.networks.network_times import (
-    BUDGET_S,
-    MOST_ROUNDS,
-    Cell,
-    Precision,
-    Task,
-    summary,
-    time_cell,
-    wait_for,
-)
+from benches.model.networks.network_frames import SENSOR_SIZE, stretched, typical_frames
+from benches.model.networks.network_times import MOST_ROUNDS, Cell, Precision, Task, timed, wait_for
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.loading import Batch, RangeImages, WorkerMethod, loader
 from bodyseg_model.networks import SHIPPED, Network, build, load_network, predict
@@ -105,29 +96,24 @@ def measured(
     ]
     cells = _cells(device)
     total = len(loads) + len(cells) + len(networks) * (len(_PRECISIONS) + len(num_workers))
-    count = itertools.count(1)
+    advance = counter(progress, total)
     found: dict[str, Any] = {"device": device, "batch_size": _BATCH, "loading": [], "times": [], "training": []}
     for workers, method, in_metres in loads:
         rates = [loading_rate(images, on, workers, method, in_metres, samples) for _ in range(ROUNDS)]
         kind = {"workers": workers, "method": method if workers else None, "ranges": "metres" if in_metres else "steps"}
         found["loading"].append(kind | {"samples_per_second": round(statistics.median(rates), 1)})
-        progress(next(count), total)
-    placed = {name: network.to(on) for name, network in networks.items()}
+        advance()
     for cell in cells:
-        batches = [as_batch(frames[cell.frame], cell.together, on)]
-        rows = summary(time_cell(cell, placed, batches, MOST_ROUNDS, BUDGET_S), COMPACT)
-        for row in rows.values():
-            row["frames_per_second"] = round(1e3 * cell.together / row["ms"], 2)
-        found["times"].append({**asdict(cell), "networks": rows})
-        progress(next(count), total)
+        found["times"].append(timed(cell, networks, [frames[cell.frame]], COMPACT))
+        advance()
     found["full_resolution"] = {name: {} for name in networks}
     for name, precision in itertools.product(networks, _PRECISIONS):
-        found["full_resolution"][name][precision] = real_time(placed[name], frames[SENSOR], on, precision)
-        progress(next(count), total)
+        found["full_resolution"][name][precision] = real_time(networks[name], frames[SENSOR], on, precision)
+        advance()
     for name, workers in itertools.product(networks, num_workers):
         speed = training_speed(images, networks[name], name, on, workers, steps)
         found["training"].append({"network": name, "workers": workers, **speed})
-        progress(next(count), total)
+        advance()
     return found | {
         "networks": {name: parameters(network) for name, network in networks.items()},
         "frames": {name: list(frame.shape) for name, frame in frames.items()},

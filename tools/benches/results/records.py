@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from benches.results.step import Graph, Places, Step
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import write_result
+from bodyseg_data.files import read_json, write_result
 
 FORMAT: Final = "bodyseg steps 1"
 RECORDS: Final = "steps.json"
@@ -36,14 +36,6 @@ class Record:
     commit: str
     hardware: str
 
-    @classmethod
-    def from_json(cls, tree: Any, where: str) -> Record:
-        """Read what `asdict` gives. Raises BadConfig for anything else."""
-        try:
-            return cls(**{field.name: tree[field.name] for field in fields(cls)})
-        except (TypeError, LookupError) as error:
-            raise BadConfig(f"{where} is no record of a step: {error!r}") from error
-
 
 class Records:
     """The records of a work folder and of docs/results, in their two files."""
@@ -51,8 +43,9 @@ class Records:
     def __init__(self, graph: Graph, places: Places) -> None:
         self._graph = graph
         self._files = {"work": places.work / RECORDS, "results": places.results / RECORDS}
-        self._records = {name: self._read(file) for name, file in self._files.items()}
-        self._begun = self._read_begun()
+        self._records = {name: _read(file) for name, file in self._files.items()}
+        work = self._files["work"]
+        self._begun: dict[str, str] = read_json(work).get("begun", {}) if work.exists() else {}
 
     def get(self, step: Step) -> Record | None:
         """The last run of a step, as far as its product may still be there; None if there is none."""
@@ -82,13 +75,6 @@ class Records:
         self._records["results"][step.name] = record
         self._write("results")
 
-    def _read(self, file: Path) -> dict[str, Record]:
-        return {name: Record.from_json(tree, f"{file}: {name}") for name, tree in _read_records(file).items()}
-
-    def _read_begun(self) -> dict[str, str]:
-        file = self._files["work"]
-        return dict(json.loads(file.read_text()).get("begun", {})) if file.exists() else {}
-
     def _write(self, name: str) -> None:
         kept = sorted((step, record) for step, record in self._records[name].items() if step in self._graph.steps)
         steps = {step: asdict(record) for step, record in kept}
@@ -103,14 +89,11 @@ def record_of(step: Step, code: str, inputs: Mapping[str, str], made: Mapping[st
     return Record(step.command, code, dict(inputs), dict(made), **facts)
 
 
-def _read_records(path: Path) -> dict[str, Any]:
-    """Step -> record as JSON; none if there is no such file. Raises BadConfig for a file that holds no records."""
-    if not path.exists():
+def _read(file: Path) -> dict[str, Record]:
+    """The records of a file, by step; none if there is no such file. Raises BadConfig for a file that holds none."""
+    if not file.exists():
         return {}
     try:
-        steps = json.loads(path.read_text(encoding="utf-8"))["steps"]
-        if not all(isinstance(record["made"], dict) for record in steps.values()):
-            raise TypeError("made must be a table")
-    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
-        raise BadConfig(f"{path} holds no records of steps: {error!r}") from error
-    return dict(steps)
+        return {name: Record(**tree) for name, tree in read_json(file)["steps"].items()}
+    except (TypeError, LookupError, AttributeError) as error:
+        raise BadConfig(f"{file} holds no records of steps: {error!r}") from error

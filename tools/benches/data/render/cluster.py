@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from benches.data.render.scaling import CLUSTER
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.machine import processors, required
 from bodyseg_data.packing import Packing, open_engine, pack
@@ -120,13 +121,7 @@ def at_scale(costs: Costs) -> dict[str, float] | None:
 def _nodes(workers: int) -> Iterator[Any]:
     """A cluster on this machine, whose scheduler is a thread of this process."""
     distributed = required("distributed", "bench cluster", "cluster")
-    options: dict[str, Any] = {
-        "n_workers": workers,
-        "threads_per_worker": 1,
-        "processes": _PROCESSES,
-        "protocol": "tcp://",
-    }
-    options |= {"dashboard_address": None, "silence_logs": 50, "scheduler_kwargs": {"dashboard_address": ":0"}}
+    options = CLUSTER | {"n_workers": workers, "processes": _PROCESSES, "protocol": "tcp://"}
     with distributed.LocalCluster(**options) as nodes:
         yield nodes
 

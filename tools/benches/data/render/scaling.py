@@ -29,7 +29,7 @@ CLUSTER: Final[dict[str, Any]] = {
     "silence_logs": 50,
     "scheduler_kwargs": {"dashboard_address": ":0"},  # any free port: another cluster may hold the usual one
 }
-"""Options of the cluster over whose connections samples are sent."""
+"""Options of a cluster of one worker on this machine."""
 
 
 def bench_scaling(views: int = 54, progress: ProgressCallback = silent) -> dict[str, Any]:

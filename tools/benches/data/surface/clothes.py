@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from benches.measuring import counter
 from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 from bodyseg_data.core import ProgressCallback, silent
@@ -43,10 +43,9 @@ def bench_clothes(mit: Path | None = None, progress: ProgressCallback = silent) 
     """
     source = OpenBodies()
     bodies = {subject: [body for body in source.bodies() if body.subset == subject] for subject in ("B", "C")}
-    scanned = [] if mit is None else list(_every(open_source("mit", mit), "B"))
-    total = sum(len(_chosen(listed)) for listed in bodies.values()) + len(scanned)
+    scanned = [] if mit is None else _scanned(open_source("mit", mit))
+    advance = counter(progress, sum(len(_chosen(listed)) for listed in bodies.values()) + len(scanned))
     figures: dict[str, Any] = {}
-    done = 0
     for subject, listed in bodies.items():
         rough: dict[str, list[Floats]] = {"dressed": [], "bare": []}
         away = []
@@ -55,8 +54,7 @@ def bench_clothes(mit: Path | None = None, progress: ProgressCallback = silent) 
             rough["dressed"].append(roughness(dressed))
             rough["bare"].append(roughness(bare))
             away.append(_away(dressed, bare))
-            done += 1
-            progress(done, total)
+            advance()
         moved = np.concatenate(away)
         figures[subject] = {
             "roughness_mm": {name: _percentiles(np.concatenate(values)) for name, values in rough.items()},
@@ -66,8 +64,7 @@ def bench_clothes(mit: Path | None = None, progress: ProgressCallback = silent) 
         values = []
         for body in scanned:
             values.append(roughness(body))
-            done += 1
-            progress(done, total)
+            advance()
         figures["scanned man"] = {"roughness_mm": _percentiles(np.concatenate(values))}
     return {"bodies": figures, "frames_per_motion": FRAMES, "azimuths": list(AZIMUTHS), "distance_cm": _DISTANCE_CM}
 
@@ -103,10 +100,12 @@ def _residuals(image: NDArray[np.float32], wanted: NDArray[np.bool_]) -> Floats:
     return spread
 
 
-def _every(source: Any, subset: str) -> Iterator[Body]:
-    listed = [body for body in source.bodies() if body.subset == subset]
-    for index in range(FRAMES):
-        yield source.build(listed[index * len(listed) // FRAMES])
+def _scanned(source: Any) -> list[Body]:
+    return [source.build(body) for body in _evenly([body for body in source.bodies() if body.subset == "B"])]
+
+
+def _evenly(frames: list[Any]) -> list[Any]:
+    return [frames[index * len(frames) // FRAMES] for index in range(FRAMES)]
 
 
 def _chosen(listed: list[Any]) -> list[Any]:
@@ -114,7 +113,7 @@ def _chosen(listed: list[Any]) -> list[Any]:
     motions: dict[str, list[Any]] = {}
     for body in listed:
         motions.setdefault(body.pose, []).append(body)
-    return [frames[index * len(frames) // FRAMES] for frames in motions.values() for index in range(FRAMES)]
+    return [frame for frames in motions.values() for frame in _evenly(frames)]
 
 
 def _away(dressed: Body, bare: Body) -> Floats:

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import counter
 from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
@@ -86,7 +87,8 @@ def bench_interpenetration(views: int = 5, progress: ProgressCallback = silent) 
     neutral = next(body for body in open_bodies.bodies() if body.pose == _NEUTRAL)
     skin = Skin(open_bodies.build(neutral))
     groups = groups_to_measure(open_bodies, hard_bodies, views)
-    total, done = sum(len(bodies) for _, bodies in groups.values()), 0
+    total = sum(len(bodies) for _, bodies in groups.values())
+    advance = counter(progress, total)
     found: dict[str, Any] = {}
     for name, (source, bodies) in groups.items():
         bare, dressed = [], []
@@ -95,8 +97,7 @@ def bench_interpenetration(views: int = 5, progress: ProgressCallback = silent) 
             bare.append(skin.measured(naked, naked))
             clothed = source.figure(body).outfit is not None
             dressed.append(skin.measured(source.build(body).mesh, naked) if clothed else bare[-1])
-            done += 1
-            progress(done, total)
+            advance()
         found[name] = _summary(bare, dressed)
     return {"groups": found, "bodies": total, "views": views}
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
 from benches.data.surface.rival_geodesics import RIVALS, rivals_installed
-from benches.measuring import median_time
+from benches.measuring import counter, median_time
 from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, nearest_sources, partition
@@ -47,14 +47,13 @@ def bench_partition(mit: Path | None = None, progress: ProgressCallback = silent
     chosen = evenly_sampled(source.bodies(), OPEN_BODIES)
     frames = None if mit is None else open_source("mit", mit)
     frame_refs = [] if frames is None else evenly_sampled(frames.bodies(), min(MIT_FRAMES, len(frames.bodies())))
-    total = len(chosen) + len(frame_refs) + len(CASES)
-    steps = iter(range(1, total + 1))
+    advance = counter(progress, len(chosen) + len(frame_refs) + len(CASES))
 
     def measured(bodies: Sequence[Body]) -> dict[str, Any]:
         rows = []
         for body in bodies:
             rows.append(_on_sound(body))
-            progress(next(steps), total)
+            advance()
         return {method: _mean([row[method] for row in rows]) for method in METHODS}
 
     methods = measured([source.build(ref) for ref in chosen])
@@ -69,7 +68,7 @@ def bench_partition(mit: Path | None = None, progress: ProgressCallback = silent
     broken = {}
     for name, step in CASES.items():
         broken[name] = _on_broken(name, step(sound(whole), np.random.default_rng(0)), whole, exact, step is scan)
-        progress(next(steps), total)
+        advance()
     return {
         "methods": methods,
         "default": DEFAULT,

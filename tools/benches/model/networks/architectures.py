@@ -6,7 +6,6 @@ differences among them. docs/results/architectures.md says how to read the resul
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import asdict
 from fractions import Fraction
@@ -16,18 +15,19 @@ from typing import Any, Final
 import torch
 from numpy.typing import NDArray
 
+from benches.measuring import counter
 from benches.model.chosen import parameters
 from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
 from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is_shipped
 from benches.model.networks.network import FILLED, TYPICAL
-from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
-from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
+from benches.model.networks.network_frames import stretched, typical_frames
+from benches.model.networks.network_times import Cell, Task, operations, timed
 from benches.model.variants.scores import TABLE, Evaluator
 from bodyseg_data.core import BadConfig, NotedProgress, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import processors
 from bodyseg_model.evaluation import evaluate, over_seeds, report
-from bodyseg_model.networks import Network, find_device
+from bodyseg_model.networks import find_device
 
 FOREST: Final = "forest"
 TITLES: Final = {
@@ -73,11 +73,7 @@ def bench_architectures(
     scale = _forest_scale(data, forest, next(iter(groups.values()))[0])
     cells = _cells()
     total = len(cells) + sum(map(len, groups.values())) + (2 if scale else 0)
-    numbers = itertools.count(1)
-
-    def did(note: str) -> None:
-        progress(next(numbers), total, note)
-
+    advance = counter(progress, total)
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
     frames = {FILLED: [stretched(largest, *largest.shape)], TYPICAL: typical}
@@ -87,21 +83,22 @@ def bench_architectures(
     if scale is not None:
         networks[FOREST] = grown = fit_forest(RangeImages(data, "all", "train"), scale)
         facts[FOREST] = _facts_of_forest(grown, scale)
-        did(f"grew a forest on {scale.images} images")
+        advance(1, f"grew a forest on {scale.images} images")
     times = []
     for cell in cells:
-        times.append(_row(cell, networks, frames[cell.frame], reference))
-        did(f"timed {cell.task} of {cell.frame} frames on {cell.device}")
+        asked = {name: one for name, one in networks.items() if cell.device == "cpu" or name != FOREST}
+        times.append(timed(cell, asked, frames[cell.frame], reference))
+        advance(1, f"timed {cell.task} of {cell.frame} frames on {cell.device}")
     scores: dict[str, list[Tree]] = {name: [] for name in networks}
     device = find_device()
     for name, group in groups.items():
         for run in group:
             scores[name].append(evaluator.scores(run.path, run.network.to(device), TABLE["all"], extras=False))
-            did(f"evaluated {run.path.name}")
+            advance(1, f"evaluated {run.path.name}")
     if scale is not None:
         answer = evaluate(networks[FOREST], test_images, images, confidences=False, batch_size=1)
         scores[FOREST].append(report(answer))
-        did("evaluated the forest")
+        advance(1, "evaluated the forest")
     recipe = next(iter(groups.values()))[0].recipe
     camera = test_images.manifest.rig.camera
     return {
@@ -182,15 +179,6 @@ def _cells() -> list[Cell]:
     if torch.cuda.is_available():
         cells.append(Cell(FILLED, "scores", "cuda", processors(), "float32"))
     return cells
-
-
-def _row(cell: Cell, networks: dict[str, Network], frames: Sequence[NDArray[Any]], reference: str) -> Tree:
-    """Times of all networks in one cell; the forest runs on the processor alone."""
-    device = torch.device(cell.device)
-    asked = {name: one.to(device) for name, one in networks.items() if cell.device == "cpu" or name != FOREST}
-    shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames
-    taken = time_cell(cell, asked, [as_batch(frame, 1, device) for frame in shown], MOST_ROUNDS, BUDGET_S)
-    return {**asdict(cell), "networks": summary(taken, reference)}
 
 
 def _headlines(times: Sequence[Tree], name: str) -> Tree:

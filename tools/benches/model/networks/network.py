@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,17 +18,8 @@ from numpy.typing import NDArray
 
 from benches.model.chosen import parameters
 from benches.model.networks.baselines import with_baselines
-from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
-from benches.model.networks.network_times import (
-    BUDGET_S,
-    MOST_ROUNDS,
-    Cell,
-    Precision,
-    Task,
-    operations,
-    summary,
-    time_cell,
-)
+from benches.model.networks.network_frames import SENSOR_SIZE, body_rectangle, stretched, typical_frames
+from benches.model.networks.network_times import Cell, Precision, Task, operations, timed
 from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silent
 from bodyseg_data.files import read_json
 from bodyseg_data.machine import processors
@@ -79,10 +70,11 @@ def bench_network(
         TYPICAL: typical,
         SENSOR: [stretched(largest, *SENSOR_SIZE)],
     }
+    networks = {name: on_backend(one.network) for name, one in candidates.items()}
     cells = _cells()
     times = []
     for done, cell in enumerate(cells, start=1):
-        times.append(_row(cell, candidates, frames[cell.frame]))
+        times.append(timed(cell, networks, frames[cell.frame], REFERENCE))
         progress(done, len(cells))
     return {
         "networks": {
@@ -180,18 +172,6 @@ def _cells() -> list[Cell]:
             for together in (_TOGETHER_ON_GPU if frame != SENSOR else _TOGETHER_ON_GPU[:1])
         ]
     return cells
-
-
-def _row(cell: Cell, candidates: dict[str, _Candidate], frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
-    device = torch.device(cell.device)
-    networks = {name: on_backend(one.network).to(device) for name, one in candidates.items()}
-    shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames
-    batches = [as_batch(frame, cell.together, device) for frame in shown]
-    taken = time_cell(cell, networks, batches, MOST_ROUNDS, BUDGET_S)
-    rows = summary(taken, REFERENCE)
-    for row in rows.values():
-        row["frames_per_second"] = round(1e3 * cell.together / row["ms"], 2)
-    return {**asdict(cell), "networks": rows}
 
 
 def _headline(times: Sequence[dict[str, Any]], device: str, name: str) -> float | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.flop_counter import FlopCounterMode
 
-from benches.model.networks.network_frames import as_batch
+from benches.model.networks.network_frames import as_batch, body_rectangle
 from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Network, device_of, predict
 
@@ -91,6 +91,20 @@ def summary(taken: Mapping[str, Sequence[float]], reference: str) -> dict[str, A
             "times_as_long": round(statistics.median(ratios), 3),
         }
     return rows
+
+
+def timed(
+    cell: Cell, networks: Mapping[str, Network], frames: Sequence[NDArray[np.float32]], reference: str
+) -> dict[str, Any]:
+    """A row of the table of times: the cell's facts, and `summary` of the networks on frames [H, W], metres."""
+    device = torch.device(cell.device)
+    shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames
+    batches = [as_batch(frame, cell.together, device) for frame in shown]
+    placed = {name: network.to(device) for name, network in networks.items()}
+    rows = summary(time_cell(cell, placed, batches, MOST_ROUNDS, BUDGET_S), reference)
+    for row in rows.values():
+        row["frames_per_second"] = round(1e3 * cell.together / row["ms"], 2)
+    return {**asdict(cell), "networks": rows}
 
 
 def _job(task: Task, network: Network, batch: torch.Tensor) -> Callable[[], Any]:

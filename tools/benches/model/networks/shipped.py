@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from benches.model.chosen import parameters
-from benches.model.networks.network_frames import as_batch, typical_frames
-from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Precision, summary, time_cell
+from benches.model.networks.network_frames import typical_frames
+from benches.model.networks.network_times import Cell, Precision, timed
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.scores import accuracy, answer_to, packed_views, together
 from bodyseg_data.core import ProgressCallback, silent
@@ -109,10 +108,6 @@ def _scores(by_test: Mapping[str, Sequence[Answer]]) -> dict[str, Any]:
 
 def _times(networks: Mapping[str, Network]) -> dict[str, dict[str, Any]]:
     """Precision -> network -> its times."""
-    batches = [as_batch(frame, 1, torch.device("cpu")) for frame in typical_frames(_FRAMES)]
-    quick = {name: on_backend(network) for name, network in networks.items()}
-    found = {}
-    for precision in get_args(Precision):
-        cell = Cell("typical", "labels", "cpu", processors(), precision)
-        found[precision] = summary(time_cell(cell, quick, batches, MOST_ROUNDS, BUDGET_S), SHIPPED.stem)
-    return found
+    frames, quick = typical_frames(_FRAMES), {name: on_backend(network) for name, network in networks.items()}
+    cells = {precision: Cell("typical", "labels", "cpu", processors(), precision) for precision in get_args(Precision)}
+    return {name: timed(cell, quick, frames, SHIPPED.stem)["networks"] for name, cell in cells.items()}

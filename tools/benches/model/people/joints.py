@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import counter
 from benches.model.chosen import chosen_network
 from benches.model.people.bodies import annotated_bodies
 from bodyseg_data.bodies import open_source
@@ -293,11 +294,7 @@ def bench_joints(
     held_out = {source: list(people_of(source, split, _BODIES, 2)) for source, split in HELD_OUT}
     skeleton = landmark_skeleton(fitted_to)
     sets = {**held_out, "annotated": annotated_people(Path(data), skeleton)}
-    done, steps = iter(range(1, 1 << 20)), views + sum(map(len, sets.values()))
-
-    def step() -> None:
-        progress(next(done), steps)
-
+    step = counter(progress, views + sum(map(len, sets.values())))
     points, _, joints = seen_of(trained, fitted_to, _VIEWS, 1, False, step)
     seen = {source: seen_of(trained, people, _VIEWS, 2, True, step) for source, people in sets.items()}
     return {"network": name, "bodies": views, "views": _VIEWS} | measured(points, joints, seen, skeleton, held_out)

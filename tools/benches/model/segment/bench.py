@@ -24,7 +24,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from benches.measuring import medians
+from benches.measuring import counter, medians
 from benches.model.rooms.made import SEED, SETS, Made, make
 from benches.model.rooms.tallies import LEAST_SEEN_M2
 from benches.model.segment.live import live
@@ -93,7 +93,7 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
     In `ROUNDS` rounds, each way in turn: every figure is the median of all rounds.
     """
     chosen = cameras()
-    done, total = 0, len(chosen) * (views + ROUNDS * len(WAYS))
+    advance = counter(progress, len(chosen) * (views + ROUNDS * len(WAYS)))
     sizes: dict[str, Any] = {}
     for name, camera in chosen.items():
         with TemporaryDirectory() as folder:
@@ -104,14 +104,12 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
                 millimetres = np.rint(1000 * room.range_m).astype(np.uint16)
                 (frames / f"{number}.png").write_bytes(encode_picture(millimetres))
                 rooms.append(room)
-                done += 1
-                progress(done, total)
+                advance()
             rounds: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
             for _ in range(ROUNDS):
                 for way, facts in WAYS.items():
                     rounds[way].append(_measured(facts, frames, Path(folder) / way, camera, rooms))
-                    done += 1
-                    progress(done, total)
+                    advance()
             ways = {way: _of_all(of_way) for way, of_way in rounds.items()}
         live_ages = {
             way: live(
@@ -121,11 +119,7 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
             )
             for way, (runtime, bits) in LIVE.items()
         }
-        sizes[name] = {
-            "focal_px": camera.focal_px,
-            "live": live_ages,
-            "ways": ways,
-        }
+        sizes[name] = {"focal_px": camera.focal_px, "live": live_ages, "ways": ways}
     return {
         "default": "bfloat16" if computes_bfloat16() else "float32",
         "rooms": views,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benches.measuring import evenly_spaced
+from benches.measuring import counter, evenly_spaced
 from benches.model.sensor_fit.recordings import Scene, Scenes, in_steps
 from bodyseg_data.artifacts import SensorModel, artifact_class
 from bodyseg_data.bodies import open_source
@@ -89,13 +90,12 @@ def bench_sensor_fit(views: int = 1, progress: ProgressCallback = silent) -> dic
     source = open_source("open")
     bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], views)
     rows: list[dict[str, Any]] = []
-    total = len(bodies) * len(cases) * len(SCENES)
-    for number, body in enumerate(bodies):
+    advance = counter(progress, len(bodies) * len(cases) * len(SCENES))
+    for body in bodies:
         scenes = Scenes(source.build(body), rig)
-        for index, case in enumerate(cases):
-            for place, scene in enumerate(SCENES):
-                rows.append({"body": body.mesh, **measure(case, scene, scenes, rig)})
-                progress((number * len(cases) + index) * len(SCENES) + place + 1, total)
+        for case, scene in itertools.product(cases, SCENES):
+            rows.append({"body": body.mesh, **measure(case, scene, scenes, rig)})
+            advance()
         scenes.close()
     return {"rig": RIG, "range_step_mm": STEP_MM, "within": WITHIN, "rows": rows, "summary": summarise(rows)}
 

@@ -10,17 +10,16 @@ from __future__ import annotations
 import multiprocessing
 import tempfile
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 from typing import Any, Final
 
 import torch
 
-from benches.measuring import Figures
+from benches.measuring import Figures, counter
 from benches.model.ablation.conditions import AblationCondition, hard_condition
 from benches.model.ablation.costs import loading_ms
 from benches.model.chosen import parameters
@@ -194,11 +193,21 @@ def _measured(work: _Work, together: int) -> dict[str, Any]:
     tests = work.tests()
     swept = (condition for sweep in SWEEPS.values() for condition in sweep.conditions)
     conditions: list[Condition] = list(dict.fromkeys([*tests.values(), *swept]))
-    bar = _Progress(work, len(conditions))
+    missing, a_step = [run for run in work.trainings if not run.finished], _PASSES * _images_a_step(work.plan)
+    steps = work.plan.recipe.steps
+    of_real = 0 if work.recordings is None else _REAL_IMAGES
+    total = len(missing) * a_step * steps + len(work.rendered) * len(conditions) * work.test_images
+    total += len(work.everything) * of_real
+    advance = counter(work.progress, total)
     device = find_device()
-    for run in bar.missing:
-        train(run, work.plan, work.data, ProcessGroup(0, 1, device), bar.report(run))
-        bar.trained(run)
+    for done, run in enumerate(missing):
+
+        def show(figures: Metrics, run: Run = run, before: int = done * a_step * steps) -> None:
+            note = f"training {run.name}, step {figures.step} of {steps}, per class {figures.accuracy:.1%}"
+            work.progress(before + a_step * figures.step, total, note)
+
+        train(run, work.plan, work.data, ProcessGroup(0, 1, device), show)
+        advance(a_step * steps, f"trained {run.name}")
     if together > 1:
         _score_together(work, conditions, together)
     found: dict[tuple[Run, Condition], Tree] = {}
@@ -207,11 +216,12 @@ def _measured(work: _Work, together: int) -> dict[str, Any]:
         for run, trained in networks.items():
             network, extras = trained.network.to(device), _with_extras(run, condition)
             found[run, condition] = work.evaluator.scores(run.path, network, condition, extras)
-            bar.add(work.test_images, f"{run.name} on {condition.name}")
+            advance(work.test_images, f"{run.name} on {condition.name}")
     real: dict[Run, Mapping[str, Values]] = {}
-    for run in work.everything if work.recordings is not None else ():
-        real[run] = work.recordings.scores(run.path) if work.recordings is not None else {}
-        bar.add(_REAL_IMAGES, f"{run.row}-{run.seed} on real frames")
+    if work.recordings is not None:
+        for run in work.everything:
+            real[run] = work.recordings.scores(run.path)
+            advance(of_real, f"{run.row}-{run.seed} on real frames")
 
     def scores_of(seeds: Collection[int]) -> ScoresOf:
         return lambda variant, condition: [
@@ -305,38 +315,3 @@ def _curves(scores_of: ScoresOf, sweep: Sweep, trained_on: Sequence[VariantName]
         "strengths": list(sweep.strengths),
         "curves": curves,
     }
-
-
-@dataclass
-class _Progress:
-    """Progress of the whole bench, counted in images that networks have processed."""
-
-    work: _Work
-    conditions: int
-    done: int = 0
-
-    def __post_init__(self) -> None:
-        work = self.work
-        self.missing = [run for run in work.trainings if not run.finished]
-        self._total = len(self.missing) * self._of_training(work.plan.recipe.steps)
-        self._total += len(work.rendered) * self.conditions * work.test_images
-        self._total += len(work.everything) * _REAL_IMAGES if work.recordings is not None else 0
-
-    def _of_training(self, steps: int) -> int:
-        return _PASSES * _images_a_step(self.work.plan) * steps
-
-    def report(self, run: Run) -> Callable[[Metrics], None]:
-        progress, plan = self.work.progress, self.work.plan
-
-        def show(figures: Metrics) -> None:
-            note = f"training {run.name}, step {figures.step} of {plan.recipe.steps}, per class "
-            progress(self.done + self._of_training(figures.step), self._total, f"{note}{figures.accuracy:.1%}")
-
-        return show
-
-    def trained(self, run: Run) -> None:
-        self.add(self._of_training(self.work.plan.recipe.steps), f"trained {run.name}")
-
-    def add(self, images: int, note: str) -> None:
-        self.done += images
-        self.work.progress(self.done, self._total, note)
