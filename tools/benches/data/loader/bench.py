@@ -21,15 +21,7 @@ from typing import Any, Final
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from benches.data.loader.baselines import (
-    Baseline,
-    Memory,
-    PngFiles,
-    Premade,
-    Webdataset,
-    folder_bytes,
-    torch_loader,
-)
+from benches.data.loader.baselines import Baseline, Memory, PngFiles, Premade, Webdataset, folder_bytes, torch_loader
 from benches.data.loader.hugging_face import HfParquet, HfWebdataset
 from benches.data.loader.limits import PNG_SAMPLES, five_png_bytes, limits, ratio
 from benches.data.loader.litdata import LitData

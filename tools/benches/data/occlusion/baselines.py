@@ -9,10 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import (
-    ShadowTest,
-    framed,
-)
+from bodyseg_data.artifacts import ShadowTest, framed
 from bodyseg_data.artifacts.occlusion import Floats, four_texels
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import FARTHEST_STEPS, SHADOW_THRESHOLDS

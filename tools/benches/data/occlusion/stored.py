@@ -14,10 +14,7 @@ from benches.data.codec.baselines import label_bytes
 from benches.data.occlusion.baselines import DEFAULT, STEP_M, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
 from benches.measuring import median_time
-from bodyseg_data.artifacts import (
-    ShadowTest,
-    framed,
-)
+from bodyseg_data.artifacts import ShadowTest, framed
 from bodyseg_data.artifacts.occlusion import Floats
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.packing.occluders import coarsened

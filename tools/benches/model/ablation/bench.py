@@ -22,16 +22,7 @@ from benches.model.ablation.conditions import (
 )
 from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, network_costs, rendering_costs
 from benches.model.ablation.rows import BASE, ROWS, RULE, AblationRow, Tree, deviation_of, enough, table, verdict, worth
-from benches.model.ablation.runs import (
-    NETWORK,
-    Run,
-    check_run,
-    find_runs,
-    identities,
-    missing,
-    plan_of,
-    sets_of,
-)
+from benches.model.ablation.runs import NETWORK, Run, check_run, find_runs, identities, missing, plan_of, sets_of
 from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
 from bodyseg_data.core import BadConfig, NotedProgress, silent
