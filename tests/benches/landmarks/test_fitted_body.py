@@ -13,17 +13,13 @@ from benches.landmarks.body_fit import (  # noqa: E402
     Fit,
     fitted_points,
 )
-from benches.landmarks.fitting_body import (  # noqa: E402
-    FittingBody,
-    SurfacePoints,
-    fitting_body,
-)
+from benches.landmarks.fitting_body import FittingBody, SurfacePoints  # noqa: E402
 from benches.landmarks.proposal import POOR_M, FittedBody, gap_m  # noqa: E402
 from benches.model.people.landmarks import carried, upright  # noqa: E402
+from fitting_bodies import whole_body  # noqa: E402
 
 from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
 from bodyseg_data.labels import LANDMARKS  # noqa: E402
-from bodyseg_data.machine import torch_threads  # noqa: E402
 from bodyseg_data.meshes import Mesh  # noqa: E402
 
 _SHAPES = 14  # principal components; lengths come after them
@@ -31,8 +27,7 @@ _SHAPES = 14  # principal components; lengths come after them
 
 @pytest.fixture(scope="module")
 def body() -> FittingBody:
-    with torch_threads(1):
-        return fitting_body()
+    return whole_body()
 
 
 def fitted(body: FittingBody, pose: str = "standing", scale: float = 1.1) -> FittedBody:

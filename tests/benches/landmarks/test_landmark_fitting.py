@@ -18,16 +18,16 @@ pytest.importorskip("anny")
 from benches.__main__ import main  # noqa: E402
 from benches.data.surface.proposal import measure, shuffled  # noqa: E402
 from benches.landmarks import proposal as proposal_module  # noqa: E402
-from benches.landmarks.body_fit import Fit, Matcher, fitted_points, fitted_surface, refine, surface_distance  # noqa: E402
+from benches.landmarks.body_fit import LIMB_POSES, Fit, Matcher, fitted_points, fitted_surface, refine, surface_distance  # noqa: E402
 from benches.landmarks.fitting_body import (  # noqa: E402  # noqa: E402
     FittingBody,
     SurfacePoints,
     farthest,
-    fitting_body,
     mean_geodesic,
     sample_surface,
 )
 from benches.landmarks.proposal import Proposal, propose  # noqa: E402
+from fitting_bodies import coarse_body, whole_body  # noqa: E402
 
 from bodyseg_data.bodies import (  # noqa: E402
     Body,
@@ -43,7 +43,6 @@ from bodyseg_data.meshes import (  # noqa: E402
     LandmarkSet,
     Mesh,
     load_landmark_file,
-    load_landmarks,
 )
 
 
@@ -58,13 +57,13 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def body() -> FittingBody:
-    return fitting_body()
+    return whole_body()
 
 
-@pytest.fixture(scope="module")
-def standing() -> Body:
-    source = open_source("open")
-    return source.build(source.bodies()[0])
+@pytest.fixture
+def scan() -> FittingBody:
+    """A standing body of few vertices, to read, draw and turn."""
+    return coarse_body()
 
 
 def about_y(angle: float) -> np.ndarray:
@@ -156,12 +155,13 @@ def test_points_are_spread_evenly_by_area() -> None:
     assert len(points.thinned(100).positions) == 100
 
 
-def test_hands_and_feet_are_remote_in_every_posture(standing: Body) -> None:
+def test_hands_and_feet_are_remote_in_every_posture() -> None:
+    source = open_source("open")
+    standing = source.build(source.bodies()[0])
     away = dict(zip(LANDMARKS, mean_geodesic(standing.mesh)[standing.landmarks], strict=True))
     assert away["Substernale"] < 0.9 < away["Rt. Olecranon"] < away["Rt. Radial Styloid"] < away["Rt. Dactylion"]
     assert away["Lt. Knee Crease"] < away["Lt. Digit II"]
     assert away["Rt. Dactylion"] == pytest.approx(away["Lt. Dactylion"], rel=0.05)
-    source = open_source("open")
     squat = next(ref for ref in source.bodies() if ref.pose == "deep_squat")
     other = source.build(squat)
     np.testing.assert_allclose(mean_geodesic(other.mesh)[other.landmarks], list(away.values()), rtol=0.12)
@@ -201,20 +201,23 @@ def target(request: pytest.FixtureRequest) -> tuple[Body, Limits]:
 
 
 SHORTER: Final[dict[str, Any]] = {
+    "POSTURES": POSTURES[::3],
+    "LIMB_POSES": {kind: poses[::3] for kind, poses in LIMB_POSES.items()},
     "_TURNS": 5,
-    "_STARTS": 3,
+    "_STARTS": 2,
     "_CANDIDATES": 1,
     "_FINALISTS": 1,
     "_LIMBS": (("arm", "LR"),),
     "_LIMB_TRIES": 1,
-    "_FINE_POINTS": 1500,
-    "_POINTS": 500,
-    "_CLOSE_IN": ((20, 0.20, 0.03), (20, 0.10, 0.02)),
-    "_SETTLE": ((20, 0.10, 0.02),),
-    "_TRY": ((20, 0.20, 0.03), (20, 0.10, 0.02)),
-    "_FINISH": ((30, 0.10, 0.015), (30, 0.05, 0.012)),
+    "_FINE_POINTS": 1000,
+    "_POINTS": 400,
+    "_ROUGH_POINTS": 300,
+    "_CLOSE_IN": ((12, 0.20, 0.03), (12, 0.10, 0.02)),
+    "_SETTLE": ((12, 0.10, 0.02),),
+    "_TRY": ((8, 0.20, 0.03), (8, 0.10, 0.02)),
+    "_FINISH": ((20, 0.10, 0.015), (20, 0.05, 0.012)),
 }
-"""Every stage of the search with fewer starts, points and steps: a quarter of its time, enough for a plain posture."""
+"""Every stage of the search with fewer starts, points and steps: a tenth of its time, enough for a plain posture."""
 
 
 @pytest.mark.usefixtures("pymeshlab")
@@ -224,6 +227,7 @@ def test_a_body_is_found_whatever_its_numbering_and_facing(
     """Decimated, shuffled and turned."""
     for name, shorter in SHORTER.items():
         monkeypatch.setattr(proposal_module, name, shorter)
+    monkeypatch.setattr(proposal_module, "fitting_body", whole_body)
     built, (median_cm, worst_cm, wrong_surface, distance_m) = target
     turn = about_y(2.2)
     mesh = shuffled(built.mesh, 1)
@@ -250,7 +254,7 @@ def small_proposal(monkeypatch: pytest.MonkeyPatch, gap_m: float = 0.03) -> list
     def stand_in(mesh: Mesh, tilts: list[np.ndarray]) -> Proposal:
         asked.append(len(tilts))
         counts = len(mesh.vertices), len(mesh.faces)
-        landmarks = LandmarkSet("proposed", "proposed", *counts, load_landmarks("open").vertices)
+        landmarks = LandmarkSet("proposed", "proposed", *counts, tuple(coarse_body().landmark_vertices.tolist()))
         return Proposal(landmarks, np.linspace(0, 0.05, 33), gap_m)
 
     monkeypatch.setattr(proposal_module, "propose", stand_in)
@@ -266,7 +270,7 @@ def obj(mesh: Mesh, scale: float) -> str:
 @pytest.mark.parametrize(("units", "scale", "up", "gap_m"), [("auto", 1000, "auto", 0.03), ("cm", 100, "y", 0.07)])
 def test_the_command_writes_landmarks_picture_and_table_and_says_that_a_fit_is_poor(
     tmp_path: Path,
-    standing: Body,
+    scan: FittingBody,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     units: str,
@@ -275,13 +279,13 @@ def test_the_command_writes_landmarks_picture_and_table_and_says_that_a_fit_is_p
     gap_m: float,
 ) -> None:
     asked = small_proposal(monkeypatch, gap_m)
-    scan, out, picture = tmp_path / "scan.obj", tmp_path / "scan.json", tmp_path / "scan.png"
-    scan.write_text(obj(standing.mesh, scale))
-    words = ["landmarks", "--mesh", scan, "--propose", out, "--out", picture, "--height", "150", "--units", units]
+    file, out, picture = tmp_path / "scan.obj", tmp_path / "scan.json", tmp_path / "scan.png"
+    file.write_text(obj(scan.mesh, scale))
+    words = ["landmarks", "--mesh", file, "--propose", out, "--out", picture, "--height", "150", "--units", units]
     assert main([*map(str, words), "--up", up]) == 0
     assert asked == [6 if up == "auto" else 1]
     written = load_landmark_file(out)
-    assert isinstance(written, LandmarkSet) and written.vertices == load_landmarks("open").vertices
+    assert isinstance(written, LandmarkSet) and written.vertices == tuple(scan.landmark_vertices.tolist())
     with Image.open(picture) as drawn:
         assert drawn.width > 600
     said = capsys.readouterr()
@@ -296,22 +300,22 @@ def test_the_command_writes_landmarks_picture_and_table_and_says_that_a_fit_is_p
 
 @pytest.mark.usefixtures("quick_geodesics")
 def test_a_source_without_landmarks_can_be_proposed_for(
-    tmp_path: Path, standing: Body, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, scan: FittingBody, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small_proposal(monkeypatch)
     folder = tmp_path / "scans"
     folder.mkdir()
-    (folder / "one.obj").write_text(obj(standing.mesh, 1))
+    (folder / "one.obj").write_text(obj(scan.mesh, 1))
     out, picture = folder / "one.json", tmp_path / "one.png"
     words = ["landmarks", "--source", "folder", "--path", folder, "--out", picture, "--height", "150"]
     assert main([*map(str, words), "--propose", str(out)]) == 0
-    assert json.loads(out.read_text())["vertex_count"] == 13718
+    assert json.loads(out.read_text())["vertex_count"] == len(scan.mesh.vertices)
     picture.unlink()
     assert main([*map(str, words)]) == 0  # and is then drawn with them
     assert picture.exists()
 
 
-def test_the_picture_faces_the_front(standing: Body) -> None:
+def test_the_picture_faces_the_front(scan: FittingBody) -> None:
     from benches.landmarks.command import _UP, _facing_front, _upright
 
     for up, axis in _UP.items():
@@ -319,11 +323,11 @@ def test_the_picture_faces_the_front(standing: Body) -> None:
         np.testing.assert_allclose(rotation @ axis, (0, 1, 0), atol=1e-12)
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(rotation) == pytest.approx(1)
-        lying = Mesh("lying", standing.mesh.vertices @ about_y(2.5).T @ rotation, standing.mesh.faces)
+        lying = Mesh("lying", scan.mesh.vertices @ about_y(2.5).T @ rotation, scan.mesh.faces)
         for upward in ([axis], list(_UP.values())):
-            facing = _facing_front(lying, standing.landmarks, upward)
+            facing = _facing_front(lying, scan.landmark_vertices, upward)
             np.testing.assert_allclose(
-                facing.vertices - facing.centre, standing.mesh.vertices - standing.mesh.centre, atol=2e-3, err_msg=up
+                facing.vertices - facing.centre, scan.mesh.vertices - scan.mesh.centre, atol=2e-3, err_msg=up
             )
 
 
@@ -385,15 +389,15 @@ def test_the_bench_refuses_what_it_has_no_use_for(
 
 
 @pytest.mark.usefixtures("quick_geodesics")
-def test_the_bench_counts_errors_and_swaps(standing: Body) -> None:
-    counts = len(standing.mesh.vertices), len(standing.mesh.faces)
-    right = standing.landmarks.copy()
-    positions = standing.mesh.vertices[right]
+def test_the_bench_counts_errors_and_swaps(scan: FittingBody) -> None:
+    counts = len(scan.mesh.vertices), len(scan.mesh.faces)
+    right = scan.landmark_vertices.copy()
+    positions = scan.mesh.vertices[right]
     swapped = right.copy()
     swapped[[15, 16]] = right[[16, 15]]
     for vertices, wrong in ((right, 0), (swapped, 2)):
         landmarks = LandmarkSet("x", "x", *counts, tuple(vertices.tolist()))
-        figures = measure(standing.mesh, positions, Proposal(landmarks, np.zeros(33)))
+        figures = measure(scan.mesh, positions, Proposal(landmarks, np.zeros(33)))
         assert figures["swapped"] == figures["beyond_8_cm"] == wrong
         assert figures["median_cm"] == 0
         assert (figures["worst_cm"] > 30 and figures["wrong_surface"] > 0.03) == bool(wrong)

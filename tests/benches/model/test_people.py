@@ -16,7 +16,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
 from benches.landmarks.body_fit import Fit, fitted_points  # noqa: E402
-from benches.landmarks.fitting_body import FittingBody, fitting_body  # noqa: E402
+from benches.landmarks.fitting_body import FittingBody  # noqa: E402
 from benches.landmarks.proposal import FittedBody  # noqa: E402
 from benches.model import chosen  # noqa: E402
 from benches.model.people import bench, cross_person, intervals, landmarks  # noqa: E402
@@ -25,6 +25,7 @@ from benches.model.people.bodies import Annotated, annotated_bodies  # noqa: E40
 from benches.model.people.intervals import interval, summed  # noqa: E402
 from benches.model.people.landmarks import placed, ways_to_place  # noqa: E402
 from benches.model.people.scores import accuracy, counted, packed_views, summary  # noqa: E402
+from fitting_bodies import coarse_body, whole_body  # noqa: E402
 from label_networks import Places  # noqa: E402
 from shapes import ball  # noqa: E402
 from small_rig import SMALL  # noqa: E402
@@ -32,7 +33,6 @@ from small_rig import SMALL  # noqa: E402
 from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
 from bodyseg_data.core import BadConfig, BadLandmarks  # noqa: E402
 from bodyseg_data.labels import LANDMARKS, PARTS  # noqa: E402
-from bodyseg_data.machine import torch_threads  # noqa: E402
 from bodyseg_data.meshes import (  # noqa: E402
     Mesh,
     load_landmark_file,
@@ -49,10 +49,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view_scores, "load_rig", lambda: SMALL)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def body() -> FittingBody:
-    with torch_threads(1):
-        return fitting_body()
+    return coarse_body()
 
 
 def known_fit(body: FittingBody, pose: str, scale: float) -> Fit:
@@ -192,9 +191,8 @@ def test_placed_landmarks_are_the_same_left_and_right(
     np.testing.assert_allclose(rest[mirror] * (-1, 1, 1), rest, atol=0.004)
 
 
-def test_landmarks_placed_by_a_persons_other_poses_are_theirs(
-    body: FittingBody, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_landmarks_placed_by_a_persons_other_poses_are_theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    body = whole_body()
     fit = known_fit(body, "t_pose", 1.0)
     mesh = Mesh("a", fitted_points(body, fit, body.whole)[0], body.mesh.faces)
     moved = mesh.vertices[annotations(body)]
@@ -279,7 +277,8 @@ def test_cross_person_needs_a_network_for_each_of_several_people(tmp_path: Path)
 
 
 @pytest.mark.parametrize("person", [0, 1])
-def test_landmarks_of_single_people_fit_the_open_body(body: FittingBody, person: int) -> None:
+def test_landmarks_of_single_people_fit_the_open_body(person: int) -> None:
+    body = whole_body()
     file = Path(cross_person.__file__).with_name(f"placed_by_{person}.json")
     vertices = load_landmark_file(file).for_mesh(body.mesh)
     assert isinstance(vertices, np.ndarray) and set(vertices) <= {*body.skin}
