@@ -263,7 +263,7 @@ def along_edges(method: str, *surface: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def coarse() -> Iterator[pytest.MonkeyPatch]:
-    """The bench with voxels of 10 mm, distances along edges, and a network that labels by columns: right is not left."""
+    """The bench with coarse voxels, distances along edges, and a network that labels by columns: right is not left."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "fuse", partial(fuse, voxel_m=VOXEL_M))
         patch.setattr(surface_labelling, "nearest_sources", along_edges)
