@@ -24,10 +24,11 @@ def shop(tmp_path: Path) -> Workshop:
 
 @pytest.fixture
 def interruptible() -> Iterator[None]:
-    """SIGINT raises KeyboardInterrupt, also where the shell has started the tests with it ignored."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """SIGINT raises KeyboardInterrupt and SIGTERM ends steps, also where the tests were started with them ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler), signal.signal(signal.SIGTERM, signal.SIG_DFL)
     yield
-    signal.signal(signal.SIGINT, before)
+    signal.signal(signal.SIGINT, before[0])
+    signal.signal(signal.SIGTERM, before[1])
 
 
 def ended(capture: Capture, word: str = "done") -> list[str]:
@@ -214,8 +215,8 @@ def test_an_interrupted_step_of_other_code_starts_anew(shop: Workshop, interrupt
 
 def test_steps_run_side_by_side_but_for_those_that_take_times(shop: Workshop, capsys: Capture) -> None:
     meet = 'touch "met-$2"; until [ -e "met-$3" ]; do sleep 0.05; done; '
-    alone = 'if [ "$(ls busy-* 2>/dev/null)" ]; then exit 1; fi; touch busy-alone; sleep 0.3; rm busy-alone; '
-    busy = "if [ -e busy-alone ]; then exit 1; fi; touch busy-$1; sleep 0.3; rm busy-$1; "
+    alone = 'if [ "$(ls busy-* 2>/dev/null)" ]; then exit 1; fi; touch busy-alone; sleep 0.1; rm busy-alone; '
+    busy = "if [ -e busy-alone ]; then exit 1; fi; touch busy-$1; sleep 0.1; rm busy-$1; "
     runs = [
         shell(f"runs/{one}-0", "training", meet + TRAINING, "sets/a", f"runs/{one}-0", one, other)
         for one, other in ("xy", "yx")
