@@ -30,7 +30,7 @@ from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.tar import parse_members
 from bodyseg_model.commands import main
 
-INPUTS = int(os.environ.get("BODYSEG_FUZZ", "60"))
+INPUTS = int(os.environ.get("BODYSEG_FUZZ", "40"))
 """How many inputs each reader gets here; `bench reliability` feeds 100 000."""
 
 
@@ -49,7 +49,7 @@ def test_what_once_was_a_fault_is_none(target: str, number: int, tmp_path: Path)
 
 
 def test_compiled_loops_and_plain_ones_read_the_same_in_a_process_of_limited_memory() -> None:
-    assert by_all_loops("bsi", range(100))["faults"] == []
+    assert by_all_loops("bsi", range(30))["faults"] == []
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_compiled_loops_and_plain_ones_read_the_same_in_a_process_of_limited_mem
     [
         (lambda data, folder: {}["x"], "KeyError: 'x'"),
         (lambda data, folder: len(bytearray(1 << 26)), "times the memory allowed"),
-        (lambda data, folder: time.sleep(0) or [_spin() for _ in range(3)], "took "),
+        (lambda data, folder: _spin(), "took "),
         (lambda data, folder: _refuse("x" * 900_000 + "\n"), ""),
     ],
 )
@@ -65,6 +65,7 @@ def test_a_reader_that_misbehaves_would_be_seen(
     read: Any, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fuzzing, "SECONDS_EACH", 0.02)
+    monkeypatch.setattr(fuzzing, "_warm_up", lambda *_: None)
     monkeypatch.setitem(TARGETS, "tar", Target(read, (BadSample,)))
     faults = feed("tar", 0, range(2), tmp_path)["faults"]
     assert any(fault in line for line in faults) if fault else faults == []
@@ -72,7 +73,7 @@ def test_a_reader_that_misbehaves_would_be_seen(
 
 def _spin() -> int:
     start = time.process_time()
-    while time.process_time() < start + 0.02:
+    while time.process_time() < start + 0.06:
         pass
     return 1
 
@@ -216,7 +217,7 @@ def test_a_note_that_cannot_be_printed_is_refused(note: str, figures_set: Path) 
 
 
 def test_verify_ends_tidily_whatever_a_manifest_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for number in range(150):
+    for number in range(60):
         (tmp_path / MANIFEST_NAME).write_bytes(one_input("manifest", 2, number))
         status = main(["verify", str(tmp_path)])
         printed = capsys.readouterr()
@@ -237,11 +238,11 @@ def pickles_in(text: str) -> list[str]:
             found += [alias.name for alias in node.names if alias.name.partition(".")[0] in _PICKLES]
         elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in _PICKLES:
             found.append(node.module or "")
-        elif isinstance(node, ast.Call) and ast.unparse(node).endswith("allow_pickle=False)"):
+        elif isinstance(node, ast.Call) and node.keywords and ast.unparse(node.keywords[-1]) == "allow_pickle=False":
             plain |= {id(node.func), *map(id, node.keywords)}
         elif id(node) in plain:
             continue
-        elif isinstance(node, ast.Attribute) and ast.unparse(node) in _LOADERS:
+        elif isinstance(node, ast.Attribute) and node.attr == "load" and ast.unparse(node) in _LOADERS:
             found.append(ast.unparse(node))
         elif isinstance(node, ast.keyword) and node.arg == "allow_pickle":
             found.append("allow_pickle")
