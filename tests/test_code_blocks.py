@@ -54,6 +54,7 @@ SMALLER: Final = {
     "steps=2000": "steps=1, batch_size=1",
     "noise_mm=40), 500": "noise_mm=40), 2",
     'total(["A", "B"])': 'total(["A"])',
+    "iter(images)\n": "iter([images[0]])\n",
     '"subject=B,C", "motion=cra*", ': "",
 }
 """Numbers and names -> others for a small set, of few people."""

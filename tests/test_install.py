@@ -25,8 +25,8 @@ site=$(dirname "$0")/../lib/python3.11/site-packages
 echo "$@" >> "$(dirname "$0")/../calls"
 case "$*" in *"$FAILING"*) echo "ERROR: no such package"; exit 3 ;; esac
 case "$*" in *uv==*) [ -z "$UV" ] || { echo "$UV" > "$(dirname "$0")/uv"; chmod +x "$(dirname "$0")/uv"; } ;; esac
-echo "Collecting one"; sleep 0.15
-echo "Installing collected packages: one, two, three"; mkdir "$site/one-$$.dist-info"; sleep 0.25
+echo "Collecting one"; sleep "$PAUSE_S"
+echo "Installing collected packages: one, two, three"; mkdir "$site/one-$$.dist-info"; sleep "$PAUSE_S"
 """
 
 
@@ -38,14 +38,18 @@ def python(tmp_path: Path) -> Path:
     return tmp_path / "python"
 
 
-def install(python: Path, what: str, failing: str = "nothing at all", uv: str = "") -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"BODYSEG_INSTALL_EVERY_S": "0", "FAILING": failing, "UV": uv, "PIP_INDEX_URL": "a/b"}
+def install(
+    python: Path, what: str, failing: str = "nothing at all", uv: str = "", pause_s: float = 0
+) -> subprocess.CompletedProcess[str]:
+    """pause_s: how long pip is at each part of its work, which is looked at every tenth of a second."""
+    settings = {"BODYSEG_INSTALL_EVERY_S": "0", "FAILING": failing, "UV": uv, "PIP_INDEX_URL": "a/b"}
+    environment = os.environ | settings | {"PAUSE_S": str(pause_s)}
     command = [str(ROOT / "tools" / "install"), str(python), str(python.parent / "venv"), what]
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
 
 
 def test_every_step_is_a_line_with_its_progress(python: Path) -> None:
-    done = install(python, "demo")
+    done = install(python, "demo", pause_s=0.25)
     assert done.returncode == 0, done.stderr
     steps = [line for line in done.stdout.splitlines() if not line.startswith("    ")]
     firsts = [step.removeprefix("install: ").split()[0].partition("==")[0] for step in steps]

@@ -67,17 +67,17 @@ def test_the_tutorial_runs_from_renders_to_labels(
     ran = []
     for name, words in steps_of(DOCS / "tutorials" / "your_renders.md"):
         if isinstance(words, str):
-            exec(compile(words, "your_renders.md", "exec"), {})
+            exec(compile(words.replace("range(3)", "range(1)"), "your_renders.md", "exec"), {})
         elif name == "python":
             assert words[0] == "robot_cell.py"
-            program.main([*smaller(["cell", *words[1:]], {"cell --scenes": "15", "cell --columns": "48"})[1:]])
+            program.main([*smaller(["cell", *words[1:]], {"cell --scenes": "5", "cell --columns": "48"})[1:]])
         elif name == "bodyseg":
             assert bodyseg_main(smaller(words, SIZES)) == 0, (words, capfd.readouterr().err)
             ran.append(words[0])
     assert ran == ["shard", "verify", "inspect", "train", "evaluate", "segment"]
     images = RangeImages("cell", split="test")
     assert images.manifest.classes.names == tuple(program.CLASSES)
-    assert (len(images), images.manifest.planes) == (3, {"instances": "uint16"})
+    assert (len(images), images.manifest.planes) == (1, {"instances": "uint16"})
     scores = json.loads(Path("scores.json").read_text())
     assert [each["name"] for each in scores["classes"]] == program.CLASSES
     labelled = sorted(Path("cell-labelled/labels").glob("*.png"))
@@ -88,14 +88,14 @@ def test_the_tutorial_runs_from_renders_to_labels(
 
 
 def test_files_and_shards_hold_the_same_scenes(program: ModuleType, tmp_path: Path) -> None:
-    sizes = ["--scenes", "3", "--first", "3", "--columns", "48"]
+    sizes = ["--scenes", "2", "--first", "3", "--columns", "48"]
     program.main([str(tmp_path / "direct"), "--shards", *sizes])
     program.main([str(tmp_path / "files"), *sizes])
     words = ["--source", "renders", "--path", str(tmp_path / "files"), "--out", str(tmp_path / "packed")]
     assert bodyseg_main(["shard", *words]) == 0
     direct, packed = RangeImages(tmp_path / "direct"), RangeImages(tmp_path / "packed")
-    assert direct.keys == packed.keys and set(direct.keys) == {"cell-0003", "cell-0004", "cell-0005"}
-    for index in range(3):
+    assert direct.keys == packed.keys and set(direct.keys) == {"cell-0003", "cell-0004"}
+    for index in range(2):
         one, other = direct.clean(index), packed.clean(index)
         np.testing.assert_array_equal(one.range, other.range)
         np.testing.assert_array_equal(one.labels, other.labels)

@@ -28,7 +28,7 @@ class Request:
 class Reply:
     """Headers that promise `length` bytes, then `body`, and a pause; if bytes are missing, the connection is closed.
 
-    step: bytes sent together, a second before the next ones; None sends all at once.
+    step: bytes sent together, `step_s` seconds before the next ones; None sends all at once.
     """
 
     body: bytes
@@ -37,6 +37,7 @@ class Reply:
     status: int = 206
     pause_s: float = 0.0
     step: int | None = None
+    step_s: float = 1.0
     headers: dict[str, str] = field(default_factory=dict)
 
 

@@ -270,7 +270,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_body(self, reply: Reply) -> None:
         step = reply.step or len(reply.body) or 1
         for start in range(0, len(reply.body), step):
-            if start and self._client_leaves_within(1.0):
+            if start and self._client_leaves_within(reply.step_s):
                 self.close_connection = True
                 return
             rest = memoryview(reply.body)[start : start + step]

@@ -10,12 +10,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import ExitStack
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numba
 import pytest
+import warm
 from kernel_forms import computed_by
 from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
@@ -278,12 +280,11 @@ def test_handlers_of_c_stay(told: Any, sources: Path, monkeypatch: pytest.Monkey
 def test_processes_that_start_at_once_agree(sources: Path, tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(sources)}
     # Each of two types is first in one of them: numba alone may keep one's code as the other's.
-    codes = [f"import numpy; from outer import outer; print(outer({a}), outer({b}))" for a, b in (TYPES, TYPES[::-1])]
-    running = [
-        subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
-        for code in codes
-    ]
-    assert [process.communicate(timeout=100)[0].strip() for process in running] == ["1024 1024"] * 2
+    begin = "import numba, numpy; numba.config.CACHE_DIR = ''; from outer import outer; "
+    codes = [f"{begin}print(outer({a}), outer({b}))" for a, b in (TYPES, TYPES[::-1])]
+    with ExitStack() as stack:
+        running = [stack.enter_context(warm.Program(["-c", code], env=environment)) for code in codes]
+        assert [process.communicate(timeout=100)[0].strip() for process in running] == ["1024 1024"] * 2
     files = kept(tmp_path)
     assert sorted(len(list(folder.glob("*.nbc"))) for folder in {file.parent for file in files}) == [2, 2]
     assert not list((tmp_path / "cache").rglob("*.tmp.*"))

@@ -102,6 +102,8 @@ import os, sys
 log = os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT)
 for stream in (1, 2):
     os.dup2(log, stream)
+import dask
+dask.config.refresh()  # it was imported before this environment was there
 from distributed.cli.dask_{kind} import main
 main()
 """

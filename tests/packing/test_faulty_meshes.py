@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import pickle
 import shutil
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +24,6 @@ from bodyseg_data.commands.shard import Options
 from bodyseg_data.core import BadConfig, BadMesh, BadSample, BadShard
 from bodyseg_data.packing import FaultyMeshes, OnFaults, Packing, pack
 from bodyseg_data.packing import packer as packing
-from bodyseg_data.packing.jobs import processes
 from bodyseg_data.packing.writing import STATE_NAME
 from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import Manifest, read_manifest
@@ -135,8 +135,8 @@ def test_skipped_meshes_leave_the_set_of_a_folder_without_them(tmp_path: Path) -
     assert manifest == read_manifest(tmp_path / "out")
     assert f"none: skipped: {manifest.skipped['none']}" in manifest.notes() and not alone.skipped
     # Again, with more in flight, in another process: the same bytes; and into the finished set: nothing changes.
-    with processes(1) as engine:
-        pack(wanted(folder), tmp_path / "again", engine.executor, 2, on_faults=SKIP)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as other:
+        pack(wanted(folder), tmp_path / "again", other, 2, on_faults=SKIP)
     assert contents(tmp_path / "again") == contents(tmp_path / "out")
     assert packed(wanted(folder), tmp_path / "out", on_faults) == manifest
 

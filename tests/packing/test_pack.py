@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 import warm
-from fakes import Figures
+from fakes import Figures, FiguresEntry
 from folders import HELPERS
 from packings import Interrupted, Renders, contents
 from small_rig import SMALL_FILE
 
-from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.bodies import SOURCES, Body, BodyRef, open_source
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.loading import RangeImages
@@ -366,14 +366,21 @@ def test_any_number_of_workers_gives_the_same_bytes(figures_set: Path, tmp_path:
     ("table", "line", "seen_by"),
     [("[camera]", "centre_px = [40.0, 600.0]", "camera sees"), ("[projector]", "roll_deg = 170.0", "")],
 )
-def test_a_rig_that_sees_nothing_is_told(table: str, line: str, seen_by: str, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("packing_here")
+def test_a_rig_that_sees_nothing_is_told(
+    table: str,
+    line: str,
+    seen_by: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(SMALL_FILE.read_text().replace(table, f"{table}\n{line}"))
-    words = [*FIGURES[:-3], str(rig), "--meshes", "1", "--workers", "1", "--out", str(tmp_path / "out")]
-    with warm.Program(words, env=os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}) as process:
-        _, errors = process.communicate(timeout=200)
-    assert process.returncode == 0, errors
-    assert (f"warning: the {seen_by} nothing in 4 images looked at: are the rig's" in errors) == bool(seen_by)
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    assert main([*FIGURES[1:-3], str(rig), "--meshes", "1", "--out", str(tmp_path / "out")]) == 0
+    told = f"warning: the {seen_by} nothing in 4 images looked at: are the rig's" in capsys.readouterr().err
+    assert told == bool(seen_by)
 
 
 def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(
@@ -382,7 +389,7 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(
     out = tmp_path / "shards"
     (tmp_path / "slow").touch()
     deadline = time.monotonic() + 200
-    with _shard(out, 2) as process:
+    with _shard(out, 1) as process:
         while not (out / STATE_NAME / "train-00000.tar.json").exists():
             assert time.monotonic() < deadline
             assert _alive(process.pid)
@@ -399,19 +406,19 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(
 
 
 @pytest.mark.parametrize(
-    ("signals", "said", "status"),
+    ("signals", "count", "said", "status"),
     [
-        ([signal.SIGINT] * 6, "interrupted", 130),
-        ([signal.SIGTERM], "terminated", 143),
+        ([signal.SIGINT] * 6, 2, "interrupted", 130),
+        ([signal.SIGTERM], 1, "terminated", 143),
     ],
 )
 def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
-    signals: list[signal.Signals], said: str, status: int, tmp_path: Path
+    signals: list[signal.Signals], count: int, said: str, status: int, tmp_path: Path
 ) -> None:
     (tmp_path / "slow").touch()
     deadline = time.monotonic() + 200
-    with _shard(tmp_path / "shards", 2, start_new_session=True) as process:
-        while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
+    with _shard(tmp_path / "shards", count, start_new_session=True) as process:
+        while len(_children(process.pid)) < count + 1:  # the workers and the tracker that multiprocessing starts
             assert time.monotonic() < deadline
             time.sleep(0.02)
         workers = _children(process.pid)

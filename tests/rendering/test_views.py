@@ -24,8 +24,7 @@ Check = Callable[[Mesh, PlacedCamera], int]
 pytestmark = pytest.mark.parametrize("check", [check_filled, check_rays])
 
 
-@pytest.mark.parametrize("azimuth", [0, 40, 215])
-@pytest.mark.parametrize("distance", [150, 295])
+@pytest.mark.parametrize(("azimuth", "distance"), [(0, 295), (40, 150), (215, 295)])
 def test_shapes_from_all_round(check: Check, azimuth: int, distance: int) -> None:
     for mesh in (ball(subdivisions=1), figure()):
         for camera in RIG.placed(mesh.centre, View(distance, azimuth)):
@@ -39,7 +38,7 @@ def test_shapes_from_above_and_below_and_turned(check: Check, view: View) -> Non
             assert check(mesh, camera) > 5000
 
 
-@pytest.mark.parametrize(("index", "view"), [(0, View(215, 0)), (30, View(295, 130)), (300, View(255, 70))])
+@pytest.mark.parametrize(("index", "view"), [(30, View(295, 130)), (300, View(255, 70))])
 def test_open_bodies(check: Check, index: int, view: View) -> None:
     source = open_source("open")
     mesh = source.build(source.bodies()[index]).mesh
@@ -59,9 +58,9 @@ def test_bodies_cut_by_every_side_of_frames_of_any_size(check: Check) -> None:
     placed = RIG.placed(mesh.centre, View(215, 20))[0]
     draw = np.random.default_rng(7)
     seen = 0
-    for _ in range(60):
+    for _ in range(25):
         rows, columns = draw.integers(1, 200, 2)
         x, y = draw.uniform(-200, 400, 2)
         device = replace(placed.camera, rows=int(rows), columns=int(columns), centre_px=(float(x), float(y)))
         seen += check(mesh, replace(placed, camera=device)) > 0
-    assert 15 < seen < 60, "some frames hold a part of the body, some nothing"
+    assert 6 < seen < 25, "some frames hold a part of the body, some nothing"

@@ -107,7 +107,7 @@ def test_threads_that_share_a_network_get_their_own_scores(backend: str) -> None
     images = [1 + torch.rand(1, 1, 64, 64) for _ in range(4)]
     expected = list(map(network.scores, images))
     with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(network.scores, 50 * images))
+        found = list(threads.map(network.scores, 10 * images))
     assert all(torch.equal(scores, expected[number % 4]) for number, scores in enumerate(found))
 
 
@@ -328,7 +328,7 @@ def test_the_command_writes_a_file_that_segment_and_evaluate_take(
     assert {name: json.loads(texts["card"])[name] for name in card} == card
     assert {"labels", "rig"} <= json.loads(texts["card"]).keys()
 
-    words = ["--data", str(small_set), "--frames", "0", "--num-workers", "0", "--other-rig", "--json"]
+    words = ["--data", str(small_set), "--images", "4", "--frames", "0", "--num-workers", "0", "--other-rig", "--json"]
     found = {}
     for name, options in {
         "torch": ["--run", str(run)],

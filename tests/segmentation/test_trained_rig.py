@@ -107,9 +107,9 @@ def test_a_network_of_another_rig_labels_frames_as_well_as_its_images(small_set:
     network = build("compact", {"patch": 8, "widths": [32], "blocks": [1]})
     recipe = recipe_for(
         "compact",
-        steps=80,
+        steps=40,
         batch_size=4,
-        learning_rate=2e-2,
+        learning_rate=3e-2,
         mirror=False,
         geometric_augmentation=GeometricAugmentation(),
     )

@@ -18,6 +18,7 @@ from bodyseg_data import RangeImages, example_set
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.rigs import Camera, Distortion
+from bodyseg_model import runtimes
 from bodyseg_model.commands import main
 from bodyseg_model.networks import Trained, load_network
 from bodyseg_model.recordings import find_frames, to_metres
@@ -134,10 +135,10 @@ def test_a_persons_labels_come_back_and_auto_finds_the_turn(tmp_path: Path) -> N
     frames = {"clean": room(3, "none"), "hard": room(9, "all")}
     rows, columns = frames["clean"].shape
     expected: dict[str, NDArray[np.uint8]] = {}
-    for quarters in (0, *TURNS):
+    for quarters, names in ((0, ("clean", "hard")), (2, ("hard",)), (3, ("clean",))):
         folder, out = tmp_path / f"frames{quarters}", tmp_path / f"out{quarters}"
         folder.mkdir()
-        seen = frames if quarters in (0, 3) else {"hard": frames["hard"]}
+        seen = {name: frames[name] for name in names}
         for name, frame in seen.items():
             (folder / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(frame, quarters))))
         words = ["--focal", "757.5757", "--turned", "auto", "--no-overlay", "--threads", "1", "--device", "cpu"]
@@ -153,7 +154,8 @@ def test_a_persons_labels_come_back_and_auto_finds_the_turn(tmp_path: Path) -> N
 
 def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
     """Blocks, of which the network is not sure, tell nothing; of a stream of them, few are judged after the first."""
-    label = FrameLabeller(load_network(), keep_things=True, turned="auto", device="cpu")
+    unsure = Trained(Places(0, 5, sure_m=0.5), {"rig": SMALL.to_json()})
+    label = FrameLabeller(unsure, keep_things=True, turned="auto", device="cpu")
     for frames in (1, 2):
         assert label(standing(), UPRIGHT).bodies and label.quarters(UPRIGHT) == 0
         assert (label._turns(UPRIGHT).frames, label._turns(UPRIGHT).judged) == (frames, 0)
@@ -164,49 +166,82 @@ def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
     assert judged == [*range(32), 32, 48, 64]
 
 
+class Upright(Places):
+    """Sure of bodies whose upper half is nearer, unsure of all others."""
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        found = super().scores(range_m)
+        rows = torch.arange(range_m.shape[2])[:, None].expand(range_m.shape[2:])
+        for image, answer in zip(range_m[:, 0], found, strict=True):
+            seen, middle = image > 0, rows[image > 0].float().median()
+            if not image[seen & (rows < middle)].mean() < image[seen & (rows > middle)].mean() - 0.1:
+                answer.clamp_(max=3.5657)  # 52 %
+        return found
+
+
+def sure_upright(turned: str | None = "auto") -> FrameLabeller:
+    """By a network that tells the turn as the one that ships does, in a hundredth of its time."""
+    return FrameLabeller(Trained(Upright(0, 5), {"rig": SMALL.to_json()}), turned=turned, device="cpu")  # type: ignore[arg-type]
+
+
+def leaning() -> NDArray[np.uint16]:
+    """A block whose upper end is nearer, before a wall, millimetres."""
+    frame = np.full((60, 80), 4000, np.uint16)
+    frame[10:52, 30:42] = np.linspace(2000, 2500, 42, dtype=np.uint16)[:, None]
+    return frame
+
+
 def test_auto_finds_the_turn_where_people_come_late(tmp_path: Path) -> None:
-    late = np.rot90(room(3, "none")[::2, ::2]).copy()
+    late = np.rot90(leaning()).copy()
     frames = np.stack([np.full_like(late, 4000)] * 48 + [late] * 3)
     np.save(tmp_path / "a.npy", frames)
-    label = FrameLabeller(load_network(), turned="auto", device="cpu")
-    camera = as_mounted(1, label.rig.camera.scaled(1 / 2))
+    label, camera = sure_upright(), as_mounted(1)
     assert label.recording(tmp_path / "a.npy", focal_px=camera.focal_px).turned_deg == 90
     answers = list(label.stream((to_metres(frame, 0.001) for frame in frames), camera))
     assert label.quarters(camera) == 1 and all(len(answer.bodies) == 1 for answer in answers[48:])
 
 
 def test_each_recording_and_stream_has_a_turn_of_its_own(tmp_path: Path) -> None:
-    label = FrameLabeller(load_network(), turned="auto", device="cpu")
-    camera = label.rig.camera
-    frames = {quarters: np.ascontiguousarray(np.rot90(room(9, "none"), quarters)) for quarters in (0, 2)}
+    label = sure_upright()
+    frames = {quarters: np.ascontiguousarray(np.rot90(leaning(), quarters)) for quarters in (0, 2)}
     opened = {}
     for quarters, frame in frames.items():
         (tmp_path / f"{quarters}.png").write_bytes(png(frame))
-        opened[quarters] = label.recording(tmp_path / f"{quarters}.png", focal_px=camera.focal_px)
+        opened[quarters] = label.recording(tmp_path / f"{quarters}.png", focal_px=UPRIGHT.focal_px)
     (upright,) = list(opened[0])
     (turned,) = list(opened[2])
     assert [each.turned_deg for each in opened.values()] == [0, 180]
-    assert (np.rot90(turned.labels, 2) == upright.labels)[upright.labels < 255].mean() > 0.98
+    same_rows(np.rot90(turned.labels, 2), upright.labels)
     for quarters, frame in frames.items():
-        (answer,) = label.stream([to_metres(frame, 1e-3)], camera)
-        assert label.quarters(camera) == quarters
-        assert (np.rot90(answer.labels, -quarters) == upright.labels)[upright.labels < 255].mean() > 0.98
+        (answer,) = label.stream([to_metres(frame, 1e-3)], UPRIGHT)
+        assert label.quarters(UPRIGHT) == quarters
+        same_rows(np.rot90(answer.labels, -quarters), upright.labels)
+
+
+def same_rows(labels: NDArray[np.uint8], others: NDArray[np.uint8]) -> None:
+    """Labels are steps from the top of a view, which may begin a pixel higher."""
+    body = others < 255
+    assert body.sum() > 400 and ((labels < 255) == body).all() and len(np.unique(others[body])) > 8
+    assert np.abs(labels[body].astype(int) - others[body]).max() <= 1
 
 
 def test_each_camera_whose_frames_come_in_turns_has_a_turn_of_its_own() -> None:
-    label = FrameLabeller(load_network(), turned="auto", device="cpu")
-    camera, frame = label.rig.camera, to_metres(room(9, "none"), 1e-3)
+    label, frame = sure_upright(), to_metres(leaning(), 1e-3)
     for _ in range(2):
-        upright = label(frame, camera)
-        turned = label(seen_by(1, frame), as_mounted(1, camera))
-    assert [label.quarters(each) for each in (camera, as_mounted(1, camera))] == [0, 1]
-    assert (np.rot90(turned.labels, -1) == upright.labels)[upright.labels < 255].mean() > 0.98
+        upright = label(frame, UPRIGHT)
+        turned = label(seen_by(1, frame), as_mounted(1))
+    assert [label.quarters(each) for each in (UPRIGHT, as_mounted(1))] == [0, 1]
+    same_rows(np.rot90(turned.labels, -1), upright.labels)
 
 
-def test_a_turned_recording_is_told_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_turned_recording_is_told_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained = Trained(Upright(0, 5), {"rig": SMALL.to_json()})
+    monkeypatch.setattr(runtimes, "load_network", lambda run, dense=False: load_network(run) if run else trained)
     for name, quarters in (("upright", 0), ("mounted", 3)):
-        (tmp_path / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(room(9, "none"), quarters))))
-        words = ["--focal", "757.5777", "--no-overlay", "--threads", "1", "--device", "cpu"]
+        (tmp_path / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(leaning(), quarters))))
+        words = ["--focal", "100", "--no-overlay", "--threads", "1", "--device", "cpu"]
         assert main(["segment", str(tmp_path / f"{name}.png"), *words, "--out", str(tmp_path / name)]) == 0
         assert ("give --turned 270 if they are" in capsys.readouterr().err) == (name == "mounted")
 

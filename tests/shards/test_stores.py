@@ -222,7 +222,7 @@ def test_a_connection_that_stalls_is_given_up_and_taken_up_again(
     web.faults.act = stalled
     shard = manifest.shards[0]
     begun = time.monotonic()
-    policy = replace(QUICK, stall_s=2)
+    policy = replace(QUICK, stall_s=1)
     cached(web.url("faulty"), manifest, tmp_path, retry_policy=policy).read(shard.name, 0, 512)
     assert web.faults.asked[shard.name] == 2
     assert time.monotonic() - begun < 30, "the server would have gone on after a minute"
@@ -358,7 +358,8 @@ def test_a_shard_that_is_too_short_or_a_web_page_is_told(
         (a_page, r"found a web page \(HTML\): is the address right, and may it be read without signing in\?"),
     ):
         web.faults.act = act
-        store = cached(web.url("faulty"), manifest, tmp_path) if kept else RemoteFolder(web.url("faulty"), {}, QUICK)
+        few, url = replace(QUICK, tries=4), web.url("faulty")
+        store = cached(url, manifest, tmp_path, retry_policy=few) if kept else RemoteFolder(url, {}, few)
         with pytest.raises(Unreachable, match=rf"/{shard.name}: {message}$"):
             ShardReader(store, manifest).read(0, 0)
         web.forget()
@@ -483,7 +484,9 @@ def start(url: str, cache: Path, shards: int) -> warm.Program:
 
 
 def test_two_processes_fetch_each_shard_once(web: WebServer, manifest: Manifest, tmp_path: Path) -> None:
-    with start(web.url("slow"), tmp_path / "cache", 2) as one, start(web.url("slow"), tmp_path / "cache", 2) as other:
+    web.faults.act = lambda reply, before: replace(reply, step=manifest.shards[0].size * 3 // 4, step_s=0.3)
+    url = web.url("faulty")
+    with start(url, tmp_path / "cache", 2) as one, start(url, tmp_path / "cache", 2) as other:
         assert [reader.wait() for reader in (one, other)] == [0, 0]
     assert sorted(line.sent for line in web.log(".tar")) == sorted(shard.size for shard in manifest.shards[:2])
 
