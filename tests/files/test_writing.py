@@ -117,6 +117,23 @@ def test_what_a_killed_process_leaves_holds_nobody_up(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_folder_is_free_again_also_where_its_lock_cannot_be_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a disk that may no longer be written; the same process may go on when it may."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    held = claimed(tmp_path, "training")
+    held.__enter__()
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="Read-only file system"):
+        patch.setattr(Path, "unlink", refuse)
+        held.__exit__(None, None, None)
+    with claimed(tmp_path, "training"):
+        pass
+
+
 def test_a_file_system_without_locks_is_told_from_one_that_cannot_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
