@@ -111,9 +111,9 @@ def test_cloth_stays_outside_the_body(
 ) -> None:  # fmt: skip
     for pose in FREE_POSES:
         body = Mesh(pose, bodies[pose], faces)
-        cloth = coarse["B"].worn(bodies[pose])[coarse["B"].covered]
+        cloth = coarse["B"].worn(bodies[pose])[coarse["B"].covered][::3]
         assert depth_inside(body, cloth).max() < 1e-3
-        cloth = fine.worn(refinement(bodies[pose]))[fine.covered][::3]
+        cloth = fine.worn(refinement(bodies[pose]))[fine.covered][::9]
         assert depth_inside(body, cloth).max() < 1e-3
 
 

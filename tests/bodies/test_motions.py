@@ -139,7 +139,7 @@ def test_the_fastest_moments_are_motion_and_no_jumps(frames: Any, subject: str, 
     table = np.array([angles(frame.pose) for frame in frames[subject, name]])
     step = np.abs(np.diff(table, axis=0)).max(axis=1)
     change = np.abs(np.diff(table, 2, axis=0)).max(axis=1)
-    finer = 16
+    finer = 8
     for index in {*np.argsort(step)[-2:].tolist(), *np.argsort(change)[-2:].tolist()}:
         times = (index + np.arange(2 * finer + 1) / finer) / FRAMES_PER_SECOND
         between = np.array([angles(motion.at(float(time))[0]) for time in times])

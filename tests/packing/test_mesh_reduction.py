@@ -37,7 +37,7 @@ from bodyseg_data.samples import View
 from bodyseg_data.shards import read_manifest
 
 RIG = load_rig()
-BALL = ball(subdivisions=5)  # 20 480 triangles
+BALL = ball(subdivisions=4)  # 5 120 triangles
 MARKS = np.linspace(0, len(BALL.vertices) - 1, 33).astype(np.int64)
 
 
@@ -46,15 +46,15 @@ pytestmark = pytest.mark.usefixtures("pymeshlab")
 
 @pytest.fixture(scope="module")
 def reduction(pymeshlab: Any) -> Reduction:
-    return reduce(BALL, MARKS, 5e-4, RIG)
+    return reduce(BALL, MARKS, 2e-3, RIG)
 
 
 def test_ranges_stay_within_the_tolerance_and_triangles_go(reduction: Reduction) -> None:
     assert len(reduction.mesh.faces) < len(BALL.faces) / 2
-    assert 2e-4 < reduction.error_m <= 5e-4  # not far below: no more triangles than needed
+    assert 8e-4 < reduction.error_m <= 2e-3  # not far below: no more triangles than needed
     # By rays of all pixels and from between the probes, too.
     cameras = [RIG.placed(BALL.centre, View(255, azimuth))[0] for azimuth in (45, 200)]
-    assert range_error(seen_ranges(reduction.mesh, cameras), seen_ranges(BALL, cameras)) <= 6e-4
+    assert range_error(seen_ranges(reduction.mesh, cameras), seen_ranges(BALL, cameras)) <= 2.4e-3
 
 
 def test_the_error_is_that_of_the_surface(reduction: Reduction) -> None:
@@ -112,15 +112,15 @@ def _met(mesh: Mesh, directions: NDArray[np.float64]) -> tuple[NDArray[np.int32]
 
 
 def test_a_smaller_tolerance_keeps_more_triangles(reduction: Reduction) -> None:
-    finer = reduce(BALL, MARKS, 2e-4, RIG)
+    finer = reduce(BALL, MARKS, 8e-4, RIG)
     assert 1.5 * len(reduction.mesh.faces) < len(finer.mesh.faces) < len(BALL.faces)
-    assert 0 < finer.error_m <= 2e-4
+    assert 0 < finer.error_m <= 8e-4
 
 
 @pytest.mark.parametrize(("power", "misses"), [(1.2, 0), (1.6, 0), (1.95, 0), (3.0, 1)])
 def test_the_search_neither_goes_too_far_nor_creeps(power: float, misses: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """With an error that is a power of the count: up to 2 no stage is made in vain, and each takes away enough."""
-    tolerance_m, tried = 5e-4, list[float]()
+    tolerance_m, tried = 2e-3, list[float]()
 
     def collapsed(mesh: Mesh, landmarks: NDArray[np.int64], count: int) -> tuple[Mesh, NDArray[np.int64]]:
         tried.append(count / len(mesh.faces))
@@ -148,7 +148,7 @@ def test_the_same_mesh_gives_the_same_bits_whatever_was_done_before(pymeshlab: A
     meshes.meshing_decimation_quadric_edge_collapse(
         targetfacenum=5000, qualitythr=0.9, planarquadric=True, optimalplacement=False, boundaryweight=7.0
     )
-    assert _digest(reduce(BALL, MARKS, 5e-4, RIG)) == _digest(reduction)
+    assert _digest(reduce(BALL, MARKS, 2e-3, RIG)) == _digest(reduction)
 
 
 def test_another_process_gives_the_same_bits(reduction: Reduction) -> None:
@@ -156,7 +156,7 @@ def test_another_process_gives_the_same_bits(reduction: Reduction) -> None:
     script = (
         f"import sys; sys.path[:0] = [{str(HELPERS)!r}, {str(ROOT / 'tools')!r}, {str(here)!r}]\n"
         "from test_mesh_reduction import *; from test_mesh_reduction import _digest\n"
-        "print(_digest(reduce(BALL, MARKS, 5e-4, RIG)))"
+        "print(_digest(reduce(BALL, MARKS, 2e-3, RIG)))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=here, timeout=120)
     assert done.stdout.strip() == _digest(reduction), done.stderr
@@ -216,8 +216,8 @@ def _rim(mesh: Mesh) -> set[bytes]:
 @pytest.mark.parametrize("case", list(CASES)[:-1])
 def test_broken_bodies_are_reduced_or_left_whole(case: str) -> None:
     broken = CASES[case](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("broken")
-    reduction = reduce(broken.mesh, broken.landmarks, 5e-4, RIG)
-    assert reduction.error_m <= 5e-4
+    reduction = reduce(broken.mesh, broken.landmarks, 2e-3, RIG)
+    assert reduction.error_m <= 2e-3
     np.testing.assert_array_equal(reduction.mesh.vertices[reduction.landmarks], broken.mesh.vertices[broken.landmarks])
     partition(reduction.mesh, reduction.landmarks)
 
@@ -237,7 +237,7 @@ def test_a_mesh_as_coarse_as_may_be_is_left_whole() -> None:
 
 def test_a_body_the_rig_cannot_see_is_left_whole() -> None:
     away = replace(RIG, camera=replace(RIG.camera, centre_px=(RIG.camera.centre_px[0] + 5000, 0)))
-    reduction = reduce(BALL, MARKS, 5e-4, away)
+    reduction = reduce(BALL, MARKS, 2e-3, away)
     assert reduction.mesh is BALL
     assert reduction.note == "left whole: the rig sees nothing of it at 215 cm"
 
@@ -248,7 +248,7 @@ def test_a_collapse_that_fails_leaves_the_mesh_whole(pymeshlab: Any, monkeypatch
         raise pymeshlab.PyMeshLabException("filter\nfailed")
 
     monkeypatch.setattr(pymeshlab.MeshSet, "meshing_decimation_quadric_edge_collapse", fail)
-    reduction = reduce(BALL, MARKS, 5e-4, RIG)
+    reduction = reduce(BALL, MARKS, 2e-3, RIG)
     assert reduction.mesh is BALL
     assert reduction.error_m == 0
     assert reduction.note == "left whole: edges could not be collapsed: filter failed"
@@ -257,7 +257,7 @@ def test_a_collapse_that_fails_leaves_the_mesh_whole(pymeshlab: Any, monkeypatch
 def test_a_collapse_that_makes_no_body_leaves_the_mesh_whole(pymeshlab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     faces = pymeshlab.Mesh.face_matrix
     monkeypatch.setattr(pymeshlab.Mesh, "face_matrix", lambda mesh: faces(mesh)[:, ::-1])
-    reduction = reduce(BALL, MARKS, 5e-4, RIG)
+    reduction = reduce(BALL, MARKS, 2e-3, RIG)
     assert reduction.mesh is BALL
     assert reduction.note is not None
     assert reduction.note.startswith("left whole: mesh ball: faces must point outwards")
@@ -283,7 +283,8 @@ def test_a_packing_takes_no_such_tolerance(tolerance_mm: float) -> None:
 
 
 def test_small_meshes_are_reduced_only_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = Body(BALL, MARKS, ("read from a file",))
+    whole = ball(subdivisions=5)
+    body = Body(whole, MARKS, ("read from a file",))
     assert reduced_body(body, None, RIG, 215) is body
     assert reduced_body(body, 0, RIG, 215) is body
     asked = reduced_body(body, 0.5, RIG, 215)
@@ -291,11 +292,11 @@ def test_small_meshes_are_reduced_only_when_asked(monkeypatch: pytest.MonkeyPatc
     assert asked.notes[1].startswith(
         f"reduced from 20480 to {len(asked.mesh.faces)} triangles, 95 % of pixels within 0."
     )
-    monkeypatch.setattr(mesh_reduction, "PAYS_FROM", len(BALL.faces))
+    monkeypatch.setattr(mesh_reduction, "PAYS_FROM", len(whole.faces))
     chosen = reduced_body(body, None, RIG, 215, pymeshlab=True)
-    assert len(asked.mesh.faces) < len(chosen.mesh.faces) < len(BALL.faces)
+    assert len(asked.mesh.faces) < len(chosen.mesh.faces) < len(whole.faces)
     by_default = reduced_body(body, None, RIG, 215)
-    assert by_default.mesh is BALL
+    assert by_default.mesh is whole
     assert by_default.notes[1:] == ("whole, with 20480 triangles: --pymeshlab packs it faster",)
 
 
@@ -331,4 +332,4 @@ def test_probes_see_the_body_from_all_sides_at_every_pitch() -> None:
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(libraries, "can_load", lambda name: name != "OpenGL")
     with pytest.raises(MissingLibrary, match="^reducing a mesh needs libOpenGL"):
-        reduce(BALL, MARKS, 5e-4, RIG)
+        reduce(BALL, MARKS, 2e-3, RIG)

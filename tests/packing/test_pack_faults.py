@@ -48,8 +48,7 @@ def test_trouble_at_any_operation_leaves_nothing_half_written_and_the_same_bytes
     assert interrupted.operations > 30
     first = 1 + TROUBLES.index(trouble) % 3  # BODYSEG_FULL tries all operations, else every third
     step = 1 if os.environ.get("BODYSEG_FULL") else 3
-    wrong = [fault for n in range(first, interrupted.operations + 1, step) for fault in interrupted.at(trouble, n)]
-    assert not wrong
+    assert not interrupted.all_at(trouble, range(first, interrupted.operations + 1, step))
 
 
 def test_what_is_half_written_would_be_seen(interrupted: Interrupted, tmp_path: Path) -> None:

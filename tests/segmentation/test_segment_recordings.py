@@ -16,6 +16,7 @@ from label_networks import Places
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 from PIL import Image
+from small_rig import SMALL
 
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND
@@ -38,11 +39,11 @@ STACK = np.stack([standing(2 * number) for number in range(7, 12)])
 
 @pytest.fixture(autouse=True)
 def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    places = Places(axis=0, step=20)
+    places, card = Places(axis=0, step=5), {"network": "places", "seed": 3, "rig": SMALL.to_json()}
     monkeypatch.setattr(
         runtimes,
         "load_network",
-        lambda run, dense=False: load_network(run) if run else Trained(places, {"network": "places", "seed": 3}),
+        lambda run, dense=False: load_network(run) if run else Trained(places, card),
     )
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -66,9 +66,9 @@ def test_nobody_is_of_another_set() -> None:
 
 
 def test_a_pose_is_the_same_whoever_asks() -> None:
-    ref = source().bodies()[1]
-    assert EverydayBodies().drawn(ref) == drawn(1) != drawn(2)
-    assert source().figure(ref).pose == drawn(1).pose
+    ref = source().bodies()[2]  # whose pose is drawn in a quarter of the time of others
+    assert EverydayBodies().drawn(ref) == drawn(2) != drawn(1)
+    assert source().figure(ref).pose == drawn(2).pose
 
 
 @pytest.mark.parametrize("index", DRAWN)

@@ -111,7 +111,8 @@ class Interrupted:
         out = self._folder / "out"
         message_file = self._folder / "message"
         message_file.write_text("")
-        status = _forked(lambda: self._troubled(trouble, operation, out), message_file)
+        run = _forked if trouble == "killed" else _ended
+        status = run(lambda: self._troubled(trouble, operation, out), message_file)
         wrong = left_over(out, self.whole)
         released = trouble == "folder gone" and operation == self.operations  # the last one lets go of a finished set
         ended = status == 0 and (released or contents(out) == self.whole)
@@ -127,12 +128,32 @@ class Interrupted:
         shutil.rmtree(out)
         return [f"{trouble} at operation {operation}: {problem}" for problem in wrong]
 
+    def all_at(self, trouble: Trouble, operations: Sequence[int]) -> list[str]:
+        """Have trouble at each operation in turn; returns what is wrong.
+
+        In one fork, which ends with the hooks of trouble that ends nothing: a fork of a large process takes its time.
+        """
+        reader, writer = os.pipe()
+
+        def report() -> None:
+            for n in operations:
+                for fault in self.at(trouble, n):
+                    os.write(writer, f"{fault!r}\n".encode())
+
+        said = self._folder / "said"
+        said.write_text("")
+        status = _forked(report, said)
+        os.close(writer)
+        with os.fdopen(reader) as file:
+            wrong = file.read().splitlines()
+        return [*wrong, *([] if status == 0 else [f"it ended with status {status}: {said.read_text()[-300:]!r}"])]
+
     def _troubled(self, trouble: Trouble, operation: int, out: Path) -> None:
-        count = 0
+        count, ended = 0, False
 
         def hook(event: str, arguments: tuple[Any, ...]) -> None:
             nonlocal count
-            if event not in _OPERATIONS:
+            if ended or event not in _OPERATIONS:
                 return
             count += 1
             if count < operation:
@@ -146,8 +167,11 @@ class Interrupted:
             elif trouble == "read-only" and (event in _CHANGES or (event == "open" and _writes(arguments))):
                 raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(arguments[0]))
 
-        sys.addaudithook(hook)
-        self.pack(out)
+        sys.addaudithook(hook)  # which stays as long as the process
+        try:
+            self.pack(out)
+        finally:
+            ended = True
 
 
 def _writes(arguments: tuple[Any, ...]) -> bool:
@@ -155,22 +179,31 @@ def _writes(arguments: tuple[Any, ...]) -> bool:
     return bool(arguments[2] & _WRITING)
 
 
+def _ended(work: Callable[[], None], message_file: Path | None = None) -> int:
+    """Run: returns 0, 2 for a BodysegError, 70 for others, with the line in a file."""
+    status, message = 70, "?"
+    lines = None if message_file is None else os.open(message_file, os.O_WRONLY)
+    try:
+        work()
+        status, message = 0, ""
+    except BodysegError as error:
+        status, message = 2, f"{error}\n"
+    except BaseException as error:
+        message = f"{type(error).__name__}: {error}\n"
+    if lines is not None:
+        os.write(lines, message.encode())
+        os.close(lines)
+    return status
+
+
 def _forked(work: Callable[[], None], message_file: Path | None = None) -> int:
     """Run in a fork: returns 0, 2 for a BodysegError, 70 for others (with the line in a file), or minus a signal."""
     child = os.fork()
     if child == 0:
-        status, message = 70, "?"
-        lines = None if message_file is None else os.open(message_file, os.O_WRONLY)
+        status = 70
         try:
-            work()
-            status, message = 0, ""
-        except BodysegError as error:
-            status, message = 2, f"{error}\n"
-        except BaseException as error:
-            message = f"{type(error).__name__}: {error}\n"
+            status = _ended(work, message_file)
         finally:
-            if lines is not None:
-                os.write(lines, message.encode())
             os._exit(status)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
