@@ -245,7 +245,7 @@ LARGEST_DOORS = {
     "bodyseg_model.networks": 32,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 33,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
     "bodyseg_model.recordings": 22,
-    "bodyseg_model.segmentation": 24,
+    "bodyseg_model.segmentation": 23,
     "bodyseg_data.samples": 33,
     "bodyseg_data.packing": 22,
 }

@@ -267,9 +267,9 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_result(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
-def read_json(path: Path, limit: int = _LARGEST_JSON) -> dict[str, Any]:
-    """The object in a JSON file of at most `limit` bytes. Raises BadConfig, naming it."""
-    return parse_json(read_bytes(path, limit), str(path))
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file. Raises BadConfig, naming it."""
+    return parse_json(read_bytes(path, _LARGEST_JSON), str(path))
 
 
 def read_bytes(path: Path, limit: int = _LARGEST_FILE) -> bytes:

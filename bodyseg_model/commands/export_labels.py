@@ -25,7 +25,7 @@ from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance
 from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, check_int
-from bodyseg_data.files import held_part, part_beside, read_json, write_json
+from bodyseg_data.files import held_part, parse_json, part_beside, read_bytes, read_json, write_json
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.renders import read_array
 from bodyseg_data.samples import Split, split_key
@@ -174,15 +174,16 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
         if getattr(options, name) != getattr(Options, name):
             raise BadConfig(f"--{name} is for sets, not for {options.folder}, which `bodyseg segment` wrote")
     folder = Path(options.folder)
+    file = folder / segmentation.SUMMARY
     try:
-        summary = segmentation.read_summary(folder)
-        label_map = label_map_from_json(summary["labels"], f"{folder / segmentation.SUMMARY}, labels")
+        summary = parse_json(read_bytes(file), str(file))  # a kilobyte a frame: more than `read_json` takes
+        label_map = label_map_from_json(summary["labels"], f"{file}, labels")
         each = [(str(at["name"]), str(at["path_id"])) for at in summary["each"]]
         times = [at.get("time_s") for at in summary["each"]]
         skipped = len(summary.get("skipped", ()))  # among them recordings that cannot be opened
         tracks = [{n: b["track"] for n, b in enumerate(at["bodies"], 1) if "track" in b} for at in summary["each"]]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadConfig(f"{folder / segmentation.SUMMARY} is none of `bodyseg segment`: {error!r}") from error
+        raise BadConfig(f"{file} is none of `bodyseg segment`: {error!r}") from error
     given = find_frames(options.frames, options.topic, summary.get("given_unit_m"), skipped) if options.frames else []
     frames = {each.path_id: each for each in given}
 

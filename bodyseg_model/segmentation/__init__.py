@@ -9,14 +9,7 @@ if TYPE_CHECKING:
     from bodyseg_model.segmentation.finder import Background, find_bodies
     from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame, LabelledRecording
     from bodyseg_model.segmentation.joints import JOINTS
-    from bodyseg_model.segmentation.output_folder import (
-        SUMMARY,
-        UNFINISHED,
-        FrameResults,
-        ImageKind,
-        OutputFolder,
-        read_summary,
-    )
+    from bodyseg_model.segmentation.output_folder import SUMMARY, UNFINISHED, FrameResults, ImageKind, OutputFolder
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
     from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter
     from bodyseg_model.segmentation.sequence_summary import STILL_M, SequenceSummary, flicker

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch, reported
 from bodyseg_data.drawing import draw_legend, save_picture
-from bodyseg_data.files import claimed, entries_of, parts_left, read_json, sync, write_json, write_result
+from bodyseg_data.files import claimed, entries_of, parse_json, parts_left, read_bytes, sync, write_json, write_result
 from bodyseg_data.labels import TEMPLATE, LabelMap
 from bodyseg_data.machine import peak_mb
 from bodyseg_model.recordings import Frame
@@ -33,7 +33,6 @@ LEGEND: Final = "legend.png"
 UNFINISHED: Final = "unfinished.json"
 """Frames of a call that has not ended yet, or was cut short; it goes when `SUMMARY` is written."""
 
-_LARGEST: Final = 1 << 31  # bytes of `SUMMARY`: a frame takes one kilobyte, with several people two
 _MOST_WAITING: Final = 4  # jobs of `WriteBehind` that are not done, so that slow disks bound memory
 _LEGEND_WIDTH: Final = 900
 
@@ -146,11 +145,6 @@ class OutputFolder:
             (self.path / UNFINISHED).unlink(missing_ok=True)
 
 
-def read_summary(folder: Path) -> dict[str, Any]:
-    """The content of `SUMMARY` in a folder of results. Raises BadConfig."""
-    return read_json(folder / SUMMARY, _LARGEST)
-
-
 def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
     """Name and file of every frame of an earlier call, from its summary or, if it was cut short, from `UNFINISHED`."""
     strange = [name for name in held if name not in (SUMMARY, UNFINISHED, PREVIEW, LEGEND, *ImageKind)]
@@ -162,7 +156,7 @@ def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
         )
     frames: dict[str, dict[str, Any]] = {}
     for name in notes:
-        tree = read_json(out / name, _LARGEST)
+        tree = parse_json(read_bytes(out / name), str(out / name))  # a kilobyte a frame: more than `read_json` takes
         each = tree.get("each")
         if tree.get("format") != FORMAT or not isinstance(each, list) or not all(map(_is_frame, each)):
             raise BadConfig(
