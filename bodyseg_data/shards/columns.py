@@ -183,7 +183,7 @@ class ColumnWriter:
         if at in self._records or index in held:
             raise BadSample(f"column {self._name!r}: {key} was written before")
         with reported(key, BadSample):
-            held[index] = self._plane(value) if self._is_plane else self._field(value, SampleInfo(shard.split))
+            held[index] = self._plane(value) if self._is_plane else self._field(value, shard, index)
         if len(held) < len(shard):
             return
         path = self._folder / column_tar(shard.name, self._name)
@@ -203,12 +203,14 @@ class ColumnWriter:
         members = CODECS[self._set.codec].encode_plane(np.ascontiguousarray(plane, kind))
         return {f"plane.{self._name}.{ending}": data for ending, data in members.items()}
 
-    def _field(self, value: Any, info: SampleInfo) -> dict[str, bytes]:
+    def _field(self, value: Any, shard: ShardRecord, index: int) -> dict[str, bytes]:
         value = plain_value(value)
         value = float(value) if self._kind == "float" and type(value) is int else value
         if kind_of(value, self._name) != self._kind:
             raise BadSample(f"field {self._name!r} must be of the kind {self._kind}, found {value!r}")
-        return {"json": json.dumps(info.with_fields(**{self._name: value}).to_json(), sort_keys=True).encode()}
+        own = {self._name: value}
+        shard.descriptions.info(index, shard.split).with_fields(**own)  # refuses one field too many
+        return {"json": json.dumps(SampleInfo(shard.split, own).to_json(), sort_keys=True).encode()}
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         with self._claim or contextlib.ExitStack():

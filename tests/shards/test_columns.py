@@ -225,6 +225,20 @@ def test_a_key_too_long_for_a_plane_is_told_at_once(tmp_path: Path) -> None:
     assert main(["verify", str(tmp_path / "set")]) == 0
 
 
+def test_a_field_beyond_those_that_a_description_may_have_is_refused(tmp_path: Path) -> None:
+    rig, fields = cell_rig(), {f"f{number}": number for number in range(64)}
+    ranges = np.ones((rig.camera.rows, rig.camera.columns))
+    labels = np.zeros(ranges.shape, np.uint8)
+    with ShardWriter(tmp_path / "set", rig=rig, classes=["a"], projector="none") as out:
+        out.write(key="scene", range_m=ranges, labels=labels, fields=fields)
+    refused = pytest.raises(BadSample, match="^scene: a description has at most 64 fields, found 65$")
+    with refused, ColumnWriter(tmp_path / "set", "more", "int") as column:
+        column.write("scene", 3)
+    with ColumnWriter(tmp_path / "set", "instances", "uint8") as column:
+        column.write("scene", labels)
+    assert RangeImages(tmp_path / "set", "none", columns="instances").clean(0).info.fields == fields
+
+
 def test_damage_of_a_column_is_one_line(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with_both(copy)
     capsys.readouterr()
@@ -338,6 +352,21 @@ def test_columns_travel_with_their_set(copy: Path, tmp_path: Path, capsys: pytes
     assert hashes(tmp_path / "there") == hashes(tmp_path / "back") == hashes(copy)
     assert main(["verify", str(tmp_path / "back")]) == 0
     assert "columns: age, instances: no fault" in capsys.readouterr().out
+
+
+def test_samples_of_a_set_with_an_index_may_have_few_each_of_many_fields(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(manifests, "INDEXED_FROM", 1)
+    rig, kinds = cell_rig(), {f"f{number}": "int" for number in range(70)}
+    ranges = np.ones((rig.camera.rows, rig.camera.columns))
+    labels = np.zeros(ranges.shape, np.uint8)
+    with ShardWriter(tmp_path / "set", rig=rig, classes=["a"], projector="none", fields=kinds) as out:
+        for name in kinds:
+            out.write(key=f"scene-{name}", range_m=ranges, labels=labels, fields={name: 3})
+    images = RangeImages(tmp_path / "set", "none")
+    assert images.manifest.index is not None
+    assert [images.clean(index).info.fields for index in range(70)] == [{name: 3} for name in kinds]
 
 
 def test_columns_belong_to_sets_with_an_index_too(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
