@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.scales import thousands
 from bodyseg_data.drawing import new_chart, save_chart
 
 _METHODS: Final = {
@@ -32,7 +33,7 @@ def draw_workers(figures: dict[str, Any], path: Path) -> None:
         rows = [row for row in figures["rows"] if row["variant"] == variant]
         for axis, (field, title) in zip(line, panels.items(), strict=True):
             _bars(axis, rows, field)
-            axis.set_title(f"{title}: {variant}", loc="left", fontsize=11)
+            axis.set_title(f"{title}: variant {variant}", loc="left", fontsize=11)
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(_METHODS), frameon=False)
     save_chart(figure, path, dpi=120)
@@ -48,9 +49,9 @@ def _bars(axis: Any, rows: list[dict[str, Any]], field: str) -> None:
             value = row[field] or 0.0
             left = place + (number - (len(here) - 1) / 2) * 0.27
             axis.bar(left, value, 0.25, color=colour, label=None if name in named else name)
-            text = f"{value:.2f}" if field.startswith("processor") else f"{value:,.0f}"
+            text = f"{value:.2f}" if field.startswith("processor") else thousands(value)
             axis.annotate(text, (left, value), (0, 2), textcoords="offset points", ha="center", fontsize=8)
             named.add(name)
-    axis.set_xticks(range(len(counts)), [f"{count} workers" if count else "none" for count in counts])
+    axis.set_xticks(range(len(counts)), [f"{count or 'no'} workers" for count in counts])
     axis.spines[["top", "right"]].set_visible(False)
     axis.margins(y=0.12)
