@@ -8,7 +8,7 @@ import pytest
 from benches.site.commands import described_commands
 from benches.site.contents import linked_inside, moved_inside, sections, with_toctrees
 from benches.site.docstrings import as_rst, parameters
-from benches.site.finishing import SHORT, link_pictures, mark_short_code
+from benches.site.finishing import SHORT, keep_numbers_whole, link_pictures, mark_short_code
 from benches.site.modules import documentation, public_names, room_page, rooms
 from benches.site.notebooks import as_markdown
 from docutils import nodes
@@ -101,6 +101,17 @@ def test_short_code_is_marked_and_pictures_lead_to_their_files() -> None:
     assert [link["refuri"] for link in page.findall(nodes.reference)] == ["../_images/chart1.png", "elsewhere"]
     assert len([*page.findall(nodes.image)]) == 3
     assert isinstance(page[3], nodes.image), "a picture of another site stays as it is"
+
+
+def test_no_line_ends_inside_of_a_number() -> None:
+    page = new_document("page")
+    code = "--sizes 10 100"
+    said = nodes.paragraph("", "1 957 696 weights, 72.2 ± 0.9 % of 640 × 480 in 12 runs: ")
+    said += nodes.literal("", code)
+    page += [said, nodes.literal_block("", code)]
+    keep_numbers_whole(page)
+    shown = page.astext().replace("\N{NO-BREAK SPACE}", "_")
+    assert shown == f"1_957_696 weights, 72.2_±_0.9_% of 640_×_480 in 12 runs: {code}\n\n{code}"
 
 
 def test_documentation_is_that_of_classes_functions_and_constants() -> None:

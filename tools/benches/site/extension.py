@@ -13,7 +13,7 @@ from sphinx.application import Sphinx
 from benches.site.commands import described_commands
 from benches.site.contents import GENERATED, OUTSIDE, OVERVIEWS, linked_inside, moved_inside, with_toctrees
 from benches.site.docstrings import as_rst, parameters
-from benches.site.finishing import link_pictures, mark_short_code
+from benches.site.finishing import keep_numbers_whole, link_pictures, mark_short_code
 from benches.site.modules import public_names, room_page, rooms
 from benches.site.notebooks import as_markdown
 from bodyseg_model.commands.cli import COMMANDS
@@ -85,4 +85,5 @@ def fill_page(_: Sphinx, name: str, source: list[str]) -> None:
 def finish_page(app: Sphinx, page: nodes.document, name: str) -> None:
     """Change a page whose links are resolved, before it is written."""
     mark_short_code(page)
+    keep_numbers_whole(page)
     link_pictures(page, name, {path: file for path, (_, file) in app.env.images.items()})

@@ -1,7 +1,8 @@
-"""The last changes to a page of the site: short code stays whole, and pictures lead to their files."""
+"""The last changes to a page of the site: short code and numbers stay whole, and pictures lead to their files."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Final
 
@@ -19,6 +20,18 @@ def mark_short_code(page: nodes.document) -> None:
     for code in page.findall(nodes.literal):
         if len(code.astext()) <= SHORT:
             code["classes"].append("short")
+
+
+_INSIDE: Final = re.compile(r"(?<=\d) (?=\d{3}\b|%|±|×)|(?<=[±×]) (?=\d)")
+"""Blanks inside of "1 957 696", "88.5 %", "72.2 ± 0.9 %" and "640 × 480"."""
+
+
+def keep_numbers_whole(page: nodes.document) -> None:
+    """Let no line end inside of a number, before its per cent, or at the sign between two."""
+    for text in [*page.findall(nodes.Text)]:
+        whole = _INSIDE.sub("\N{NO-BREAK SPACE}", text)
+        if whole != text and not isinstance(text.parent, nodes.literal | nodes.FixedTextElement):
+            text.parent.replace(text, nodes.Text(whole))
 
 
 def link_pictures(page: nodes.document, name: str, files: Mapping[str, str]) -> None:
