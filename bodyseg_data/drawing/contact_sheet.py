@@ -21,8 +21,11 @@ _MARGIN: Final = 0.08  # around what is measured, as a share of its longer side
 _MOST_CROPPED: Final = 0.4  # share of an image up to which it is cropped to a window; with more, it stays whole
 
 _GAP: Final = 6
-_CAPTION: Final = 20
-_NOTE: Final = 18
+_TITLE: Final = 40
+_HEAD: Final = 26
+_CAPTION: Final = 23
+_NOTE: Final = 22
+_SMALL: Final = 15  # size of letters that are still read where the sheet is shown in half its size
 _PANEL_ROWS: Final = 320
 _PANEL_COLUMNS: Final = 480
 
@@ -81,7 +84,7 @@ def span_of(image: NDArray[np.uint16 | np.float32]) -> tuple[float, float]:
 def draw_sheet(
     rows: Sequence[Row], shown: VariantName, title: str, sensor: SensorModel, label_map: LabelMap = PARTS33
 ) -> Image.Image:
-    """Draw one line of panels a sample: camera range, occluder range, labels, the variants, labels in `shown`.
+    """Draw one line of panels a sample: camera range, projector range, labels, the variants, labels in `shown`.
 
     Where bodies fill less than two fifths of the image, as before a wide camera, all panels are cropped to them, alike.
     sensor: the model that made the variants, which captions name the drawn quantities of. label_map: the classes that
@@ -89,27 +92,27 @@ def draw_sheet(
     """
     seen = window_of([row.sample.range for row in rows])
     panels = [_panels(row, shown, sensor, label_map, seen) for row in rows]
-    lit = ["occluder range (projector)"] if rows[0].sample.projector_range is not None else []
+    lit = ["projector range"] if rows[0].sample.projector_range is not None else []
     heads = ["camera range", *lit, "labels", *rows[0].variants, f"labels in {shown}"]
     widths = [
-        max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
+        max(_text_width(head, 20), *(max(line[column][1].width, _text_width(line[column][0])) for line in panels))
         for column, head in enumerate(heads)
     ]
     width = sum(widths) + _GAP * (len(widths) + 1)
     legend = _legend(width - 2 * _GAP, label_map)
     line_height = _CAPTION + _PANEL_ROWS + _NOTE + _GAP
-    top = 34 + _CAPTION
+    top = _TITLE + _HEAD
     sheet = Image.new("RGB", (width, top + line_height * len(rows) + legend.height + 2 * _GAP), PAPER)
     pen = ImageDraw.Draw(sheet)
-    pen.text((_GAP, 8), title, INK, font=font(17))
+    pen.text((_GAP, 8), title, INK, font=font(20))
     for number, (row, line) in enumerate(zip(rows, panels, strict=True)):
         left, line_top = _GAP, top + number * line_height
-        pen.text((left, line_top + 2), _caption(row.sample), FAINT, font=font(12))
+        pen.text((left, line_top + 2), _caption(row.sample), FAINT, font=font(_SMALL))
         for head, panel_width, (note, panel) in zip(heads, widths, line, strict=True):
             if number == 0:
-                pen.text((left, 34), head, INK, font=font(14))
+                pen.text((left, _TITLE), head, INK, font=font(20))
             sheet.paste(panel, (left, line_top + _CAPTION))
-            pen.text((left, line_top + _CAPTION + _PANEL_ROWS + 2), note, INK, font=font(12))
+            pen.text((left, line_top + _CAPTION + _PANEL_ROWS + 2), note, INK, font=font(_SMALL))
             left += panel_width + _GAP
     sheet.paste(legend, (_GAP, sheet.height - legend.height - _GAP))
     return sheet
@@ -145,7 +148,7 @@ def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16], label_m
     return colours
 
 
-def _text_width(text: str, size: int) -> int:
+def _text_width(text: str, size: int = _SMALL) -> int:
     return math.ceil(font(size).getlength(text)) + 4
 
 
