@@ -44,7 +44,7 @@ from scipy.spatial.transform import Rotation  # noqa: E402
 from spheres import icosphere  # noqa: E402
 
 from bodyseg_data.core import BadConfig, BadLandmarks  # noqa: E402
-from bodyseg_data.labels import BACKGROUND, LANDMARKS  # noqa: E402
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, PARTS33  # noqa: E402
 from bodyseg_data.meshes import Mesh  # noqa: E402
 from bodyseg_data.meshes.geodesics import nearest_sources  # noqa: E402
 from bodyseg_data.rendering.embree import EmbreeRenderer  # noqa: E402
@@ -300,6 +300,8 @@ def test_what_the_bench_finds(measured: Figures, tmp_path: Path) -> None:
     draw_real(figures, tmp_path / "real.png")
     with Image.open(tmp_path / "real.png") as picture:
         assert picture.width > 200 and picture.height > 200
+        drawn = {colour for _, colour in picture.convert("RGB").getcolors(picture.width * picture.height)}
+    assert drawn >= {tuple(colour) for colour in PARTS33.colours.tolist()}, "the legend names each part's own colour"
 
 
 def test_a_mirrored_recording_has_the_same_scores(

@@ -47,7 +47,7 @@ def draw_real(figures: Figures, path: Path) -> None:
             )
             picture.paste(image, (x, top + _CAPTION))
     picture.paste(legend, (_MARGIN, size[1] - legend.height - _MARGIN))
-    save_picture(picture.quantize(256), path)
+    save_picture(picture, path)
 
 
 def _title(figures: Figures) -> str:

@@ -90,7 +90,7 @@ def draw_variants(figures: Figures, path: Path) -> None:
     figure.suptitle(_scale(figures["scale"]), x=0.005, ha="left", fontsize=10.5)
     save_chart(figure, path, dpi=110)
     if figures.shown:
-        save_picture(_real_frames(figures.shown).quantize(256), path.with_stem(f"{path.stem}_real"))
+        save_picture(_real_frames(figures.shown), path.with_stem(f"{path.stem}_real"))
 
 
 def _real_frames(shown: Sequence[Shown]) -> Image.Image:
