@@ -312,8 +312,8 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[training.Rep
             metrics.step,
             steps,
             f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
-            f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}"
-            f"{'' if metrics.waited_for is None else f' for {metrics.waited_for}'}"
+            f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%} for data"
+            f"{'' if metrics.waited_for is None else f' ({metrics.waited_for})'}"
             f"{validated}, {left:.0f} s left",
         )
         if new_board is not None:
@@ -330,6 +330,6 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[training.Rep
             board.close()
         if waits and sum(waits.values()) > _WAIT_ADVISED:
             stage = max(waits, key=waits.__getitem__)
-            sys.stderr.write(f"waited mostly for {stage}; what may help: {training.WAITING_ADVICE[stage]}\n")
+            sys.stderr.write(f"waited for data, mostly for its stage {stage!r}; what may help: {training.WAITING_ADVICE[stage]}\n")
     if first is None:
         sys.stderr.write(f"{folder} holds this training, which has ended: a larger --steps carries it on\n")

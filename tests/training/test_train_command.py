@@ -215,7 +215,9 @@ def test_advice_is_for_a_fifth_of_waiting_however_often_lines_come(
     with reporting(tmp_path, 40, 20) as report:
         for step in range(5, 45, 5):  # each validated
             report(Metrics(step, 1.0, 0.5, 0.5, 1e-3, 10.0, wait, "decode"))
-    assert ("waited mostly for decode" in capsys.readouterr().err) is advised
+    said = capsys.readouterr().err
+    assert f", waited {wait:.0%} for data (decode), 0 s left" in said
+    assert ("waited for data, mostly for its stage 'decode'" in said) is advised
 
 
 def test_settings_are_those_of_the_network_that_a_training_starts_from(small_set: Path, tmp_path: Path) -> None:
