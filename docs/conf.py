@@ -17,6 +17,7 @@ default_role = "literal"
 
 autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True, "no-value": True}
 autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
 add_module_names = False
 python_maximum_signature_line_length = 88
 toc_object_entries = False

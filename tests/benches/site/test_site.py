@@ -7,7 +7,7 @@ import json
 import pytest
 from benches.site.commands import described_commands
 from benches.site.contents import linked_inside, moved_inside, sections, with_toctrees
-from benches.site.docstrings import as_rst, parameters
+from benches.site.docstrings import as_rst, parameters, with_defaults
 from benches.site.finishing import SHORT, keep_numbers_whole, link_pictures, mark_short_code
 from benches.site.modules import documentation, public_names, room_page, rooms
 from benches.site.notebooks import as_markdown
@@ -154,6 +154,11 @@ def test_parameters_are_those_of_the_signature() -> None:
     assert parameters(as_rst) == ["lines", "names"]
     assert parameters("no function") == []
     assert parameters(dict.fromkeys) == [] or "iterable" in parameters(dict.fromkeys)
+
+
+def test_defaults_without_a_python_form_leave_a_signature_that_sphinx_reads() -> None:
+    given = "(drawn: ~typing.Any = <factory>, classes: Classes = Classes('parts33', 33 classes), at: int = 3)"
+    assert with_defaults(given) == "(drawn: ~typing.Any = ..., classes: Classes = ..., at: int = 3)"
 
 
 def test_a_notebook_becomes_text_code_and_outputs() -> None:

@@ -1,4 +1,4 @@
-"""Docstrings, which are plain text with backticks and indented code, as reStructuredText for Sphinx."""
+"""Docstrings, plain text with backticks and indented code, as reStructuredText for Sphinx; and signatures."""
 
 from __future__ import annotations
 
@@ -52,3 +52,14 @@ def parameters(value: Any) -> list[str]:
         return [name for name in inspect.signature(value).parameters if name != "self"]
     except (TypeError, ValueError):  # built in, or a class that cannot be called
         return []
+
+
+_NO_PYTHON: Final = re.compile(r"= (<[^<>]*>|\w+\('\w+', \d+ classes\))")
+
+
+def with_defaults(signature: str) -> str:
+    """Return a signature in which `...` stands for defaults that are no Python.
+
+    Sphinx shows the types of a signature that it cannot parse with all their modules.
+    """
+    return _NO_PYTHON.sub("= ...", signature)

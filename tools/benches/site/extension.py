@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 
 from benches.site.commands import described_commands
 from benches.site.contents import GENERATED, OUTSIDE, OVERVIEWS, linked_inside, moved_inside, with_toctrees
-from benches.site.docstrings import as_rst, parameters
+from benches.site.docstrings import as_rst, parameters, with_defaults
 from benches.site.finishing import keep_numbers_whole, link_pictures, mark_short_code
 from benches.site.modules import public_names, room_page, rooms
 from benches.site.notebooks import as_markdown
@@ -40,6 +40,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_lexer("rooms", TextLexer)  # the list of rooms in architecture.md, which tests read
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", convert_docstring)
+    app.connect("autodoc-process-signature", convert_signature)
     app.connect("source-read", fill_page)
     app.connect("doctree-resolved", finish_page)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
@@ -63,6 +64,12 @@ def _write(path: Path, text: str) -> None:
 def convert_docstring(_: Sphinx, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
     """Put reStructuredText in the place of a docstring's lines."""
     lines[:] = as_rst(lines, parameters(value))
+
+
+def convert_signature(*given: Any) -> tuple[str | None, str | None]:
+    """Return a signature and what it returns, the last two arguments, with defaults that are Python."""
+    signature, returned = given[-2:]
+    return signature and with_defaults(signature), returned
 
 
 def fill_page(_: Sphinx, name: str, source: list[str]) -> None:
