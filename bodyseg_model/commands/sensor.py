@@ -38,7 +38,7 @@ class Options:
     skip_unreadable: int = option("skip up to this many frames that cannot be read, or recordings that do not open", 0)
     near: float | None = option("with people or limits: what is nearer is background, metres (default: 0.4)", None)
     far: float | None = option("with people or limits: what is farther is background, metres (default: 6)", None)
-    nearer_than: float | None = option("all nearer than this, metres, is a body of any size; not with --background", None)
+    nearer_than: float | None = option("body of any size: all nearer than this, metres; not with --background", None)
 
 
 def run(options: Options) -> int:
