@@ -330,6 +330,6 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[training.Rep
             board.close()
         if waits and sum(waits.values()) > _WAIT_ADVISED:
             stage = max(waits, key=waits.__getitem__)
-            sys.stderr.write(f"waited for data, mostly for its stage {stage!r}; what may help: {training.WAITING_ADVICE[stage]}\n")
+            sys.stderr.write(f"waited for data, mostly for {stage}; what may help: {training.WAITING_ADVICE[stage]}\n")
     if first is None:
         sys.stderr.write(f"{folder} holds this training, which has ended: a larger --steps carries it on\n")

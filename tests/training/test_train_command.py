@@ -217,7 +217,7 @@ def test_advice_is_for_a_fifth_of_waiting_however_often_lines_come(
             report(Metrics(step, 1.0, 0.5, 0.5, 1e-3, 10.0, wait, "decode"))
     said = capsys.readouterr().err
     assert f", waited {wait:.0%} for data (decode), 0 s left" in said
-    assert ("waited for data, mostly for its stage 'decode'" in said) is advised
+    assert ("waited for data, mostly for decode" in said) is advised
 
 
 def test_settings_are_those_of_the_network_that_a_training_starts_from(small_set: Path, tmp_path: Path) -> None:
