@@ -50,16 +50,11 @@ markers for those who print in grey.
 """
 
 _PANELS: Final = {
-    "noise": ("sigma of the noise, mm", 1, 40, "Noise, other artifacts as in all (Fig. 7)"),
-    "missing": ("missing pixels, %", 100, 50, "Missing data, other artifacts as in all (Fig. 8)"),
-    "grain": (
-        "side of squares of equal noise, pixels",
-        1,
-        16,
-        "Noise of 40 mm in squares, nothing else",
-    ),
+    "noise": ("sigma of the noise, mm", 1, "Noise, other artifacts as in all (the paper's Fig. 7)"),
+    "missing": ("missing pixels, %", 100, "Missing data, other artifacts as in all (its Fig. 8)"),
+    "grain": ("side of squares of equal noise, pixels", 1, "Noise of 40 mm in squares, nothing else"),
 }
-"""Sweep -> axis, what strengths are multiplied by, the strength to mark, title."""
+"""Sweep -> axis, what strengths are multiplied by, title."""
 
 
 _GAP: Final = 6
@@ -142,9 +137,8 @@ def _drawn(name: str) -> dict[str, Any]:
 
 
 def _sweep(axis: Any, name: str, sweep: Tree) -> None:
-    label, factor, mark, title = _PANELS[name]
+    label, factor, title = _PANELS[name]
     strengths = [factor * strength for strength in sweep["strengths"]]
-    axis.axvline(mark, color="#9a9a9a", linewidth=0.8, linestyle=(0, (2, 2)), zorder=1)
     for order, (variant, curve) in enumerate(sweep["curves"].items()):
         if None not in curve["sd"]:
             edges = [[mean + way * sd for mean, sd in zip(curve["mean"], curve["sd"], strict=True)] for way in (-1, 1)]
