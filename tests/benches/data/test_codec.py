@@ -47,7 +47,7 @@ def test_the_default_is_on_the_front_and_small_enough(figures: dict[str, Any]) -
     assert DEFAULT in figures["front"] and figures["front"] == sorted(
         figures["front"], key=lambda name: rows[name]["bytes"]
     )
-    assert figures["png_sets"]["times_smaller"] > 6
+    assert figures["png_sets"]["five_png_sets_a_sample"] > 5 * figures["png_sets"]["in_the_tar_a_sample"]
     assert figures["projector"]["pixels_in_another_light"] == 0 and figures["projector"]["bytes_saved"] > 0
 
 

@@ -6,10 +6,8 @@ measured as `bench loader` measures them.
 
 from __future__ import annotations
 
-import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.util import module_from_spec, spec_from_file_location
@@ -20,15 +18,15 @@ from typing import Any, Final
 import numpy as np
 
 from benches.data.loader.baselines import Baseline, Memory, Premade, Webdataset, folder_bytes
-from benches.data.loader.bench import check_counts
+from benches.data.loader.bench import a_sample, by_workers, check_counts, written
 from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
-from benches.data.loader.passes import Passes, checksum_of, run_rounds
+from benches.data.loader.passes import Opening, Passes, checksum_of, run_rounds
 from benches.data.loader.pngs import DECODERS, time_decoders
 from benches.measuring import counter, evenly_spaced, median_time
 from bodyseg_data.artifacts import VARIANTS, VariantName, shadow_tests
 from bodyseg_data.core import ProgressCallback, silent
-from bodyseg_data.loading import Batch, RangeImages, loader
+from bodyseg_data.loading import RangeImages, loader
 from bodyseg_data.packing import ShardWriter
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.rigs import Rig, load_rig
@@ -198,17 +196,13 @@ def measure_loading(packed: Path, scratch: Path, workers: Sequence[int]) -> dict
         "memory": Memory(),
     }
     stored: dict[str, int | None] = {f"ours_{name}": folder_bytes(packed) for name in VARIANTS}
-    for name, baseline in known.items():
-        (scratch / name).mkdir()
-        stored[name] = None
-        with suppress(ImportError):
-            stored[name] = baseline.write(Premade(images["all"]), scratch / name)
+    stored |= written(known, Premade(images["all"]), scratch, lambda: None)
     there = {name: baseline for name, baseline in known.items() if stored[name] is not None}
     sums = {v: {image.key: checksum_of(image) for image in Premade(images[v])} for v in VARIANTS}
     expected = {f"ours_{name}": sums[name] for name in VARIANTS} | dict.fromkeys(there, sums["all"])
     found: dict[int, dict[str, Passes]] = {}
     for count in workers:
-        opens: dict[str, Callable[[], Iterable[Batch]]] = {
+        opens: dict[str, Opening] = {
             f"ours_{name}": partial(loader, RangeImages(packed, name), BATCH, count, shuffle=True) for name in VARIANTS
         }
         opens |= {name: partial(each.open, scratch / name, BATCH, count) for name, each in there.items()}
@@ -217,30 +211,20 @@ def measure_loading(packed: Path, scratch: Path, workers: Sequence[int]) -> dict
         finally:
             for baseline in there.values():
                 baseline.close()
-    rates = {
-        name: {str(n): round(statistics.median(p[name].rates), 1) if name in p else None for n, p in found.items()}
-        for name in stored
-    }
+    rates = by_workers(found, stored, Passes.samples_per_second)
 
     def quotient(one: float | None, other: float | None) -> float | None:
         return None if one is None or other is None else round(one / other, 3)
 
-    def processor_ms(one: Passes | None) -> float | None:
-        return None if one is None or one.seconds is None else round(1e3 * one.seconds / one.samples, 3)
-
     return {
         "samples_per_second": rates,
-        "processor_ms_per_sample": {
-            name: {str(n): processor_ms(p.get(name)) for n, p in found.items()} for name in stored
-        },
+        "processor_ms_per_sample": by_workers(found, stored, Passes.processor_ms_per_sample),
         "ours_all_over": {
             name: {n: quotient(rates["ours_all"][n], rate) for n, rate in row.items()}
             for name, row in rates.items()
             if name != "ours_all"
         },
-        "bytes_per_sample": {
-            name: None if size is None else round(size / len(images["all"])) for name, size in stored.items()
-        },
+        "bytes_per_sample": a_sample(stored, len(images["all"])),
         "png_decoder": decoders.used,
         "missing": [name for name, size in stored.items() if size is None],
     }

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 
+from benches.fuzzing.hostile import one_of
 from bodyseg_data.core import BadShard, BodysegError
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.shards import MANIFEST_NAME, ShardRecord, find_faults, read_manifest
@@ -158,9 +159,9 @@ def mangle(damaged: Damaged, count: int, seed: int, tally: Tally) -> None:
     names = _files(damaged)
     contents = {name: (damaged.folder / name).read_bytes() for name in names}
     for number in range(count):
-        name = names[int(generator.integers(len(names)))]
+        name = one_of(names, generator)
         kind = list(_MANGLES)[number % len(_MANGLES)]
-        other = contents[names[int(generator.integers(len(names)))]]
+        other = contents[one_of(names, generator)]
 
         def spoil(data: bytes, kind: str = kind, other: bytes = other) -> bytes:
             return _MANGLES[kind](data, other, generator)

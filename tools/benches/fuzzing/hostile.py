@@ -8,16 +8,18 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import zstandard
 from numpy.random import Generator
 
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.shards import SIGNATURE, read_chunks
+
+_T = TypeVar("_T")
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _BYTES: Final = (0, 1, 2, 0x20, 0x7F, 0x80, 0xFE, 0xFF)
@@ -29,6 +31,11 @@ _VALUES: Final[tuple[Any, ...]] = (
     *(10**400, -(10**4000), "", "x", "\x00", "\n\x1b[31m", "\ud800", "../../etc/passwd", "/etc/passwd", "é" * 300),
     *([], {}, [[]], {"": None}, [0] * 300, "y" * 100_000),
 )
+
+
+def one_of(items: Sequence[_T], generator: Generator) -> _T:
+    """One of the items, all equally likely."""
+    return items[int(generator.integers(len(items)))]
 
 
 def spoiled(data: bytes, generator: Generator) -> bytes:
@@ -148,7 +155,7 @@ def hostile_png(valid: bytes, generator: Generator) -> bytes:
             extra = [_extra_chunk(generator) for _ in range(int(generator.integers(1, 4)))]
             return _png([first, *extra, *rest])
         case 7:
-            return _foreign_pngs()[int(generator.integers(len(_foreign_pngs())))]
+            return one_of(_foreign_pngs(), generator)
         case _:
             return SIGNATURE + generator.bytes(int(generator.integers(100)))
 
@@ -168,7 +175,7 @@ def _extra_chunk(generator: Generator) -> tuple[bytes, bytes]:
         (b"IHDR", struct.pack(">IIBBBBB", 40_000, 40_000, 16, 0, 0, 0, 0)),
         (bytes(generator.integers(65, 91, 4).tolist()), generator.bytes(12)),
     )
-    return chunks[int(generator.integers(len(chunks)))]
+    return one_of(chunks, generator)
 
 
 @lru_cache(maxsize=1)
@@ -242,8 +249,8 @@ def hostile_tree(tree: Any, generator: Generator) -> Any:
     changed = deepcopy(tree)
     for _ in range(int(generator.integers(1, 4))):
         nodes = list(_containers(changed))
-        node = nodes[int(generator.integers(len(nodes)))] if nodes else None
-        value = deepcopy(_VALUES[int(generator.integers(len(_VALUES)))])
+        node = one_of(nodes, generator) if nodes else None
+        value = deepcopy(one_of(_VALUES, generator))
         if generator.integers(20) == 0:
             value = _nested(int(generator.choice((20, 100, 250))))
         if not node:
@@ -251,7 +258,7 @@ def hostile_tree(tree: Any, generator: Generator) -> Any:
         if isinstance(node, list):
             key: Any = int(generator.integers(len(node)))
         else:
-            key = list(node)[int(generator.integers(len(node)))]
+            key = one_of(list(node), generator)
         match int(generator.integers(4)):
             case 0 | 1:
                 node[key] = value
@@ -271,7 +278,7 @@ def hostile_json(text: str, generator: Generator) -> bytes:
             return text.replace('":', '": 1, "again":', 1).replace("again", text[2:8], 1).encode("utf-8", "replace")
         case 1:
             if generator.integers(2):
-                return (b"[", b'{"a":')[int(generator.integers(2))] * int(generator.choice((10, 990, 20_000)))
+                return one_of((b"[", b'{"a":'), generator) * int(generator.choice((10, 990, 20_000)))
             depth = int(generator.integers(900, 1005))  # about as deep as can be read
             return text.replace("[", "[" * (depth + 1) + "]" * depth + ",", 1).encode("utf-8", "replace")
         case 2:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benches.data.codec.earlier import earlier_images, earlier_pngs
-from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
+from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, one_of, spoiled
 from bodyseg_data.labels import LANDMARKS, UNLABELLED, LabelClass, classes_of
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import SPLITS, Sample, SampleInfo, Value
@@ -87,8 +87,7 @@ def _samples(codec: CodecName) -> list[dict[str, bytes]]:
 
 
 def _members(codec: CodecName, generator: Generator) -> dict[str, bytes]:
-    samples = _samples(codec)
-    return dict(samples[int(generator.integers(len(samples)))])
+    return dict(one_of(_samples(codec), generator))
 
 
 def _hostile_member(members: dict[str, bytes], name: str, generator: Generator) -> bytes:
@@ -104,17 +103,16 @@ def hostile_bsi(generator: Generator) -> dict[str, bytes]:
 def hostile_pngs(generator: Generator) -> dict[str, bytes]:
     """A sample one of whose PNGs is hostile."""
     members = _members("png", generator)
-    names = [name for name in members if name != "json"]
-    name = names[int(generator.integers(len(names)))]
+    name = one_of([name for name in members if name != "json"], generator)
     return members | {name: _hostile_member(members, name, generator)}
 
 
 def hostile_sample(generator: Generator) -> dict[str, bytes]:
     """Members of a sample: other bytes or JSON in one of them, one missing, too many, of two codecs or samples."""
-    codec = list(CODECS)[int(generator.integers(len(CODECS)))]
+    codec = one_of(list(CODECS), generator)
     members, other = _members(codec, generator), _members(codec, generator)
     names = list(members)
-    name = names[int(generator.integers(len(names)))]
+    name = one_of(names, generator)
     match int(generator.integers(7)):
         case 0:
             return members
@@ -127,7 +125,7 @@ def hostile_sample(generator: Generator) -> dict[str, bytes]:
         case 5:
             members[str(generator.choice((*names, "extra", "range.gif", "", ".", "bsi.png")))] = members.pop(name)
         case _:
-            members[name] = [*other.values()][int(generator.integers(len(other)))]
+            members[name] = one_of([*other.values()], generator)
     return members
 
 
@@ -140,17 +138,16 @@ def hostile_tar(generator: Generator) -> bytes:
         header.size = len(members[extension])
         headers.append((bytearray(header.tobuf(tarfile.USTAR_FORMAT)), members[extension]))
     for _ in range(int(generator.integers(1, 3))):
-        header_bytes, data = headers[int(generator.integers(len(headers)))]
+        header_bytes, data = one_of(headers, generator)
         match int(generator.integers(8)):
             case 0:
-                header_bytes[156:157] = _TYPES[int(generator.integers(len(_TYPES)))]
+                header_bytes[156:157] = one_of(_TYPES, generator)
             case 1:
-                name = _NAMES[int(generator.integers(len(_NAMES)))]
-                header_bytes[:100] = name.ljust(100, b"\0")
+                header_bytes[:100] = one_of(_NAMES, generator).ljust(100, b"\0")
             case 2 | 3:
-                header_bytes[124:136] = _SIZES[int(generator.integers(len(_SIZES)))].ljust(12, b"\0")
+                header_bytes[124:136] = one_of(_SIZES, generator).ljust(12, b"\0")
             case 4:
-                offset, length = _FIELDS[int(generator.integers(len(_FIELDS)))]
+                offset, length = one_of(_FIELDS, generator)
                 header_bytes[offset : offset + length] = generator.bytes(length)
             case 5:
                 header_bytes[:] = spoiled(bytes(header_bytes), generator)[:512].ljust(512, b"\0")
@@ -165,11 +162,10 @@ def hostile_tar(generator: Generator) -> bytes:
 
 def _long_name(generator: Generator) -> tuple[bytearray, bytes]:
     """A member of another dialect that renames, or resizes, the one behind it."""
-    kind = (tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK)[
-        int(generator.integers(4))
-    ]
+    kinds = (tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK)
+    kind = one_of(kinds, generator)
     headers = (b"30 path=../../../etc/passwd\n", b"18 size=99999999\n", b"24 GNU.sparse.major=1\n", b"../x\0")
-    data = headers[int(generator.integers(len(headers)))]
+    data = one_of(headers, generator)
     header = tarfile.TarInfo(f"{KEY}.x")
     header.type, header.size = kind, len(data)
     return bytearray(header.tobuf(tarfile.USTAR_FORMAT)), data
@@ -240,16 +236,11 @@ def _manifest_trees() -> list[dict[str, Any]]:
     return trees
 
 
-def _manifest_tree(generator: Generator) -> dict[str, Any]:
-    trees = _manifest_trees()
-    return trees[int(generator.integers(len(trees)))]
-
-
 def hostile_manifest(generator: Generator) -> bytes:
     """A manifest: spoiled as text, or with other content under the right digest."""
     if generator.integers(3) == 0:
-        return hostile_json(json.dumps(_signed(_manifest_tree(generator)), sort_keys=True), generator)
-    tree = hostile_tree(_manifest_tree(generator), generator)
+        return hostile_json(json.dumps(_signed(one_of(_manifest_trees(), generator)), sort_keys=True), generator)
+    tree = hostile_tree(one_of(_manifest_trees(), generator), generator)
     if not isinstance(tree, dict):
         return json.dumps(tree).encode()
     signed = _signed(tree)
@@ -335,8 +326,7 @@ def _column_trees() -> list[tuple[str, dict[str, Any]]]:
 
 def hostile_column(generator: Generator) -> tuple[str, bytes]:
     """The name of a column of `column_set`, and its file: spoiled as text, or with other content under its digest."""
-    trees = _column_trees()
-    name, tree = trees[int(generator.integers(len(trees)))]
+    name, tree = one_of(_column_trees(), generator)
     match int(generator.integers(4)):
         case 0:
             return name, json.dumps(_signed(tree), sort_keys=True).encode()
@@ -408,12 +398,12 @@ def _other_value(text: str, generator: Generator) -> bytes:
     """TOML with another value for one of its keys."""
     lines = text.splitlines()
     keyed = [number for number, line in enumerate(lines) if "=" in line and not line.startswith("#")]
-    number = keyed[int(generator.integers(len(keyed)))]
+    number = one_of(keyed, generator)
     values = _TOML if generator.integers(2) else _TOML_LONG
     key = lines[number].partition("=")[0]
     if generator.integers(8) == 0:
-        key = _TOML_KEYS[int(generator.integers(len(_TOML_KEYS)))]
-    lines[number] = f"{key}= {values[int(generator.integers(len(values)))]}"
+        key = one_of(_TOML_KEYS, generator)
+    lines[number] = f"{key}= {one_of(values, generator)}"
     return "\n".join(lines).encode()
 
 
@@ -452,10 +442,10 @@ _COUNTS: Final = (0, 1, 3, 1 << 31, 1 << 40, 10**15 - 1, 10**30)
 
 def hostile_ply(generator: Generator) -> bytes:
     """A PLY file, in text or binary, with other counts or spoiled."""
-    form = ("ascii", "binary_little_endian", "binary_big_endian")[int(generator.integers(3))]
+    form = one_of(("ascii", "binary_little_endian", "binary_big_endian"), generator)
     counts = {"vertices": 3, "faces": 1}
     if generator.integers(2):
-        counts[str(generator.choice(("vertices", "faces")))] = _COUNTS[int(generator.integers(len(_COUNTS)))]
+        counts[str(generator.choice(("vertices", "faces")))] = one_of(_COUNTS, generator)
     head = _PLY.format(form=form, **counts).encode()
     if form == "ascii":
         rows = b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
@@ -489,7 +479,7 @@ def hostile_scenes(generator: Generator) -> dict[str, bytes]:
     faces = b"".join(b"\3" + np.array(face, "<i4").tobytes() for face in ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)))
     files = {"box.ply": _PLY.format(form="binary_little_endian", vertices=4, faces=4).encode() + points + faces}
     files |= {name: json.dumps(tree).encode() for name, tree in _SCENES.items()}
-    name = [*_SCENES][int(generator.integers(len(_SCENES)))]
+    name = one_of([*_SCENES], generator)
     match int(generator.integers(6)):
         case 0:
             files["box.ply"] = hostile_ply(generator)
@@ -499,8 +489,6 @@ def hostile_scenes(generator: Generator) -> dict[str, bytes]:
             del files[name]
         case 3 | 4:
             files[name] = json.dumps(hostile_tree(_SCENES[name], generator)).encode()
-        case _:
-            pass
     return files
 
 
@@ -532,15 +520,14 @@ def hostile_recording(generator: Generator) -> tuple[str, bytes]:
     """A recording: its name, and its bytes, spoiled mostly at its ends, where zips and TIFFs list what they hold, or
     with another shape in its header.
     """
-    names = [*_recordings()]
-    name = names[int(generator.integers(len(names)))]
+    name = one_of([*_recordings()], generator)
     data = _recordings()[name]
     match int(generator.integers(5)):
         case 0:
             return name, data
         case 1:
             old, others = _DECLARED
-            return name, data.replace(old, others[int(generator.integers(len(others)))])
+            return name, data.replace(old, one_of(others, generator))
         case 2:
             return name, spoiled(data, generator)
         case 3:

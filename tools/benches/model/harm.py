@@ -7,7 +7,6 @@ needed to tell that it is more than a scene needs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from benches.measuring import counter
 from benches.model.ablation.conditions import AblationCondition
 from benches.model.ablation.costs import loading_ms
 from benches.model.chosen import chosen_network
-from benches.model.variants.verdicts import DECIDE_POINTS, paired
+from benches.model.variants.verdicts import paired
 from bodyseg_data.artifacts import (
     Artifact,
     MissingData,
@@ -28,7 +27,7 @@ from bodyseg_data.artifacts import (
 )
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.loading import RangeImages
-from bodyseg_model.evaluation import evaluate, over_seeds
+from bodyseg_model.evaluation import evaluate
 from bodyseg_model.networks import find_device
 
 ARTIFACTS: Final[dict[str, Artifact]] = {
@@ -51,8 +50,8 @@ def bench_harm(
     with all artifacts of each of `SENSORS`.
 
     data: folder or address of a set. runs: trainings NAME-SEED, one row for each NAME, beside the shipped network.
-    lost: points of average per-class accuracy less than without artifacts, over the seeds. harmless: less than
-    `DECIDE_POINTS` in every row. ms: processor time of a sample in the loader. Raises BadConfig, and as `load_network`.
+    lost: points of average per-class accuracy less than without artifacts, over the seeds. ms: processor
+    time of a sample in the loader. Raises BadConfig, and as `load_network`.
     """
     device = find_device()
     rows: dict[str, dict[int, Any]] = {}
@@ -75,18 +74,9 @@ def bench_harm(
     lost = {what: {row: paired(clean[row], scores[row]) for row in rows} for what, scores in found.items()}
     cost = loading_ms({title: RangeImages(data, "all", "train", sensor=sensor) for title, sensor in shown.items()})
     return {
-        "data": tested.manifest.source,
-        "rig": tested.manifest.rig.name,
         "test_images": min(images, len(tested)),
-        "without": {row: over_seeds([*scores.values()]) for row, scores in clean.items()},
         "artifacts": [
-            {
-                "what": title,
-                "strengths": {each.name: asdict(each) for each in shown[title].artifacts},
-                "lost": points,
-                "harmless": all(each is not None and each["mean"] < DECIDE_POINTS for each in points.values()),
-                "ms": round(cost[title]["ms"] - cost[_NONE]["ms"], 3),
-            }
+            {"what": title, "lost": points, "ms": round(cost[title]["ms"] - cost[_NONE]["ms"], 3)}
             for title, points in lost.items()
         ],
     }

@@ -384,12 +384,10 @@ def temporal(
                 advance(frames)
     points = int(truth.points[0, 0])
     return {
-        "source": source.name,
         "shots": [{"first": shot.bodies[0].mesh, "last": shot.bodies[-1].mesh, **asdict(shot.view)} for shot in chosen],
         "frames": frames,
         "window": window,
         "frames_per_second": FRAMES_PER_SECOND,
-        "seed": seed,
         "pairs": truth.agreement.pixels,
         "points": points,
         "measured_throughout": _share(points, rendered_points),

@@ -151,27 +151,24 @@ def _summed(kinds: dict[str, _Costs]) -> dict[str, Any]:
 
 
 class _Sizes:
-    """Five sets of PNG files against one set that makes them."""
+    """Five sets of PNG files against one set that makes them. One entry a sample."""
 
     def __init__(self) -> None:
         self._augmentations = [Augmentation(load_rig(), variant) for variant in VARIANTS]
-        self._png, self._images, self._tar, self._pixels = 0, 0, 0, 0
-        self._samples = 0
+        self._png: list[int] = []
+        self._tar: list[int] = []
 
     def add(self, sample: Sample) -> None:
-        for augmentation in self._augmentations:
-            image = augmentation(sample)
-            self._png += len(encode_png(image.range)) + len(encode_png(image.labels))
-        members = encode_sample(sample)
-        self._images += len(members["bsi"])
-        self._tar += sum(_BLOCK + -(-len(data) // _BLOCK) * _BLOCK for data in members.values())
-        self._pixels += int((sample.range > 0).sum())
-        self._samples += 1
+        images = [augmentation(sample) for augmentation in self._augmentations]
+        self._png.append(sum(len(encode_png(image.range)) + len(encode_png(image.labels)) for image in images))
+        members = encode_sample(sample).values()
+        self._tar.append(sum(_BLOCK + -(-len(data) // _BLOCK) * _BLOCK for data in members))
 
     def row(self) -> dict[str, Any]:
-        means = {"five_png_sets": self._png, "images": self._images, "in_the_tar": self._tar, "pixels": self._pixels}
-        sizes: dict[str, Any] = {f"{name}_a_sample": round(total / self._samples) for name, total in means.items()}
-        return sizes | {"times_smaller": round(self._png / self._images, 2)}
+        return {
+            "five_png_sets_a_sample": round(statistics.mean(self._png)),
+            "in_the_tar_a_sample": round(statistics.mean(self._tar)),
+        }
 
 
 class _Rounding:

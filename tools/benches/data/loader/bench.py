@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import statistics
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -26,7 +27,7 @@ from benches.data.loader.hugging_face import HfParquet, HfWebdataset
 from benches.data.loader.limits import PNG_SAMPLES, five_png_bytes, limits, ratio
 from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
-from benches.data.loader.passes import Passes, checksum_of, run_rounds
+from benches.data.loader.passes import Opening, Passes, checksum_of, run_rounds
 from benches.data.loader.pngs import DECODERS, Decode, by_pillow, time_decoders
 from benches.measuring import counter, evenly_spaced
 from bodyseg_data.artifacts import VARIANTS, VariantName
@@ -36,8 +37,8 @@ from bodyseg_data.machine import processors, torch_threads
 from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
 from bodyseg_data.samples import ViewGrid
 
-_BATCH: Final = 20
-_ROUNDS: Final = 7
+BATCH: Final = 20
+ROUNDS: Final = 7
 _VIEWS_A_BODY: Final = 18
 PACKAGES: Final = (
     "torch", "numpy", "numba", "pillow", "opencv-python-headless", "imagecodecs",
@@ -106,13 +107,24 @@ def bench_loader(
     hold. A loader whose package is absent has null everywhere, and a line on standard error says so. Raises
     BadConfig if there are too few samples for so many workers.
     """
+    with packed_set(views, num_workers) as packed:
+        return measure(packed, packed.parent, num_workers, progress=progress)
+
+
+@contextmanager
+def packed_set(views: int, num_workers: Sequence[int]) -> Iterator[Path]:
+    """A set of open bodies in a new folder, both removed afterwards.
+
+    views: samples, rounded up to whole bodies. Raises BadConfig if there are too few for so many workers.
+    """
     meshes = -(-views // _VIEWS_A_BODY)
-    check_counts(meshes * _VIEWS_A_BODY, _BATCH, num_workers)
+    check_counts(meshes * _VIEWS_A_BODY, BATCH, num_workers)
     packing = Packing("open", meshes=meshes, views=ViewGrid(count=_VIEWS_A_BODY))
     with TemporaryDirectory(prefix="bodyseg-loader-") as folder:
+        packed = Path(folder) / "ours"
         with open_engine(PROCESSES, None, packing) as on:
-            pack(packing, Path(folder) / "ours", on.executor, on.workers)
-        return measure(Path(folder) / "ours", Path(folder), num_workers, progress=progress)
+            pack(packing, packed, on.executor, on.workers)
+        yield packed
 
 
 def check_counts(samples: int, batch: int, num_workers: Sequence[int]) -> None:
@@ -128,8 +140,8 @@ def measure(
     packed: Path,
     scratch: Path,
     workers: Sequence[int] = (0, 2),
-    batch: int = _BATCH,
-    rounds: int = _ROUNDS,
+    batch: int = BATCH,
+    rounds: int = ROUNDS,
     progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """`bench_loader` on the set in `packed`; the baselines' sets go to new folders in `scratch`."""
@@ -147,9 +159,7 @@ def measure(
         expected[name] = {image.key: checksum_of(image) for image in Premade(altered)}
     tick()
     stored: dict[str, int | None] = dict.fromkeys(OURS, folder_bytes(packed))
-    for name, baseline in known.items():
-        stored[name] = _written(name, baseline, Premade(images["all"]), scratch / name)
-        tick()
+    stored |= written(known, Premade(images["all"]), scratch, tick)
     there = {name: baseline for name, baseline in known.items() if stored[name] is not None}
     expected |= dict.fromkeys(there, expected["ours_all"])
     found: dict[int, dict[str, Passes]] = {}
@@ -170,18 +180,25 @@ def measure(
     return _results(found, stored, kept, five_pngs, counts) | {"png_decoders": decoders.to_json()}
 
 
-def _written(name: str, baseline: Baseline, images: Premade, folder: Path) -> int | None:
-    folder.mkdir()
-    try:
-        return baseline.write(images, folder)
-    except ImportError as error:
-        sys.stderr.write(f"{name}: not installed: tools/install_rivals ({error})\n")
-        return None
+def written(
+    known: Mapping[str, Baseline], images: Premade, scratch: Path, tick: Callable[[], None]
+) -> dict[str, int | None]:
+    """Write the set of each baseline into `scratch`/NAME; name -> bytes, None if its package is absent."""
+    found: dict[str, int | None] = {}
+    for name, baseline in known.items():
+        (scratch / name).mkdir()
+        try:
+            found[name] = baseline.write(images, scratch / name)
+        except ImportError as error:
+            sys.stderr.write(f"{name}: not installed: tools/install_rivals ({error})\n")
+            found[name] = None
+        tick()
+    return found
 
 
 def _openings(
     packed: Path, there: Mapping[str, Baseline], scratch: Path, batch: int, workers: int
-) -> dict[str, Callable[[], Iterable[Batch]]]:
+) -> dict[str, Opening]:
     """Name -> what opens the loader."""
 
     def ours(variant: VariantName) -> Iterable[Batch]:
@@ -198,7 +215,7 @@ def _openings(
         )
         return batches
 
-    opens: dict[str, Callable[[], Iterable[Batch]]] = {f"ours_{name}": partial(ours, name) for name in VARIANTS}
+    opens: dict[str, Opening] = {f"ours_{name}": partial(ours, name) for name in VARIANTS}
     opens["ours_all_batch_sampler"] = sampled
     opens["ours_all_dataloader"] = partial(plain, _same)
     opens["ours_all_wrapped"] = partial(plain, Wrapped)
@@ -217,25 +234,15 @@ def _results(
     five_pngs: float,
     counts: Mapping[str, int],
 ) -> dict[str, Any]:
-    def table(value: Callable[[Passes], Any]) -> dict[str, dict[str, Any]]:
-        return {
-            name: {str(n): value(passes[name]) if name in passes else None for n, passes in found.items()}
-            for name in stored
-        }
-
-    def each(sizes: Mapping[str, int | None]) -> dict[str, int | None]:
-        return {name: None if size is None else round(size / counts["samples"]) for name, size in sizes.items()}
-
+    table = partial(by_workers, found, stored)
     rounds = {name: {str(n): p[name].rates for n, p in found.items() if name in p} for name in stored}
-    sizes = each(stored)
+    sizes = a_sample(stored, counts["samples"])
     return {
-        "samples_per_second": table(lambda one: round(statistics.median(one.rates), 1)),
+        "samples_per_second": table(Passes.samples_per_second),
         "bytes_per_sample": sizes,
-        "kept_bytes_per_sample": each(kept),
+        "kept_bytes_per_sample": a_sample(kept, counts["samples"]),
         "five_png_bytes_per_sample": round(five_pngs),
-        "processor_ms_per_sample": table(
-            lambda one: None if one.seconds is None else round(one.seconds / one.samples * 1e3, 4)
-        ),
+        "processor_ms_per_sample": table(Passes.processor_ms_per_sample),
         "worker_mb": table(lambda one: one.worker_mb),
         "all_over_none": {str(n): ratio(rounds, str(n), "ours_none", "ours_all") for n in found},
         "ours_all_over": {
@@ -250,6 +257,20 @@ def _results(
         "versions": {name: _version(name) for name in PACKAGES},
         **counts,
     }
+
+
+def by_workers(
+    found: Mapping[int, Mapping[str, Passes]], names: Iterable[str], value: Callable[[Passes], Any]
+) -> dict[str, dict[str, Any]]:
+    """Name of a loader -> number of workers -> a figure of its passes, None where it was not measured."""
+    return {
+        name: {str(n): value(passes[name]) if name in passes else None for n, passes in found.items()} for name in names
+    }
+
+
+def a_sample(sizes: Mapping[str, int | None], samples: int) -> dict[str, int | None]:
+    """Bytes of sets as bytes of a sample."""
+    return {name: None if size is None else round(size / samples) for name, size in sizes.items()}
 
 
 def _spread(rates: Sequence[float]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import statistics
 import time
 import zlib
 from collections.abc import Callable, Iterable, Mapping
@@ -20,6 +21,8 @@ from bodyseg_data.loading import Batch
 
 _SEED: Final = 0
 
+Opening = Callable[[], Iterable[Batch]]
+
 
 @dataclass
 class Passes:
@@ -31,6 +34,14 @@ class Passes:
     seconds: float | None = 0.0
     samples: int = 0
     worker_mb: float | None = None
+
+    def samples_per_second(self) -> float:
+        """The median of the rounds."""
+        return round(statistics.median(self.rates), 1)
+
+    def processor_ms_per_sample(self) -> float | None:
+        """Milliseconds of processor for a sample."""
+        return None if self.seconds is None else round(self.seconds / self.samples * 1e3, 4)
 
 
 @dataclass
@@ -50,7 +61,7 @@ def checksum_of(image: RangeImage) -> int:
 
 
 def run_rounds(
-    loaders: Mapping[str, Callable[[], Iterable[Batch]]],
+    loaders: Mapping[str, Opening],
     workers: int,
     rounds: int,
     expected: Mapping[str, Mapping[str, int]],

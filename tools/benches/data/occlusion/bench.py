@@ -37,11 +37,13 @@ _COSTS: Final = "wrong_pixels", "us_per_view", "bytes"
 def bench_occlusion(views: int = 60, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Errors, time and bytes of every method: `views` ordinary views, and a quarter as many of each other group.
 
+    bias: millimetres. stored: of the projector image: all, what can shade, or that rounded as far as no answer changes;
+    differing_pixels: between the masks from what is stored and from the whole image, in timed views.
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all ordinary
     views pooled; worst_view: the largest share in one of them; scenes: wrong_pixels in each scene. bytes: what the
-    method adds to a sample, projector image and facing bit. us_per_view: processor time to decode that image
-    (decode_us) and to make the mask (test_us; form: in NumPy or compiled), the median over views of those of sixteen
-    runs, all methods in turn. default: the form that runs, compiled where numba is installed.
+    method adds to a sample, projector image and facing bit, mean over timed views. us_per_view: processor time to
+    decode that image (decode_us) and to make the mask (test_us; form: in NumPy or compiled), the median over views of
+    those of sixteen runs, all methods in turn. default: the form that runs, compiled where numba is installed.
     """
     tallies = [Tally(method) for method in METHODS]
     compiled, where, masks = Compiled(), WhereWrong(), Masks()
@@ -81,15 +83,6 @@ def bench_occlusion(views: int = 60, progress: ProgressCallback = silent) -> dic
         "worst_crops": where.worst_crops(),
         "views": {group.name: _count(group, views) for group in GROUPS},
         "bodies": {group.name: list(group.poses) for group in GROUPS},
-        "units": {
-            "bias": "mm",
-            "wrong_pixels": "share of foreground pixels inside the projector's view",
-            "bytes": "mean over timed views of the projector image and, where used, the facing bit in the labels",
-            "stored": "of the projector image: all, what can shade, or that rounded as far as no answer changes",
-            "differing_pixels": "between the masks from what is stored and from the whole image, in timed views",
-            "form": "the test in NumPy or compiled; decoding is the same for both",
-            "us_per_view": "processor time of decoding the projector image and of the test",
-        },
         "methods": [*rows, masks.method()],
     }
 

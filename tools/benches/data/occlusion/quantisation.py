@@ -90,11 +90,6 @@ def bench_quantisation(views: int = 40, progress: ProgressCallback = silent) -> 
         "best": min(fit, key=lambda name: rows[name]["bytes"], default=None),
         "default": f"{load_rig().range_step_mm:g}",
         "views": views,
-        "units": {
-            "steps": "mm",
-            "wrong_pixels": "share of foreground pixels inside the projector's view",
-            "bytes": "mean over views of range, labels and projector image",
-        },
     }
 
 

@@ -15,4 +15,5 @@ def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:
     labels: uint8 [V], 0 to 32. The area of a triangle is shared equally by its corners.
     """
     areas = np.linalg.norm(mesh.normals, axis=1)
-    return np.bincount(labels[mesh.faces].ravel(), np.repeat(areas / (3 * areas.sum()), 3), PART_COUNT)
+    shares = np.repeat(areas / (3 * areas.sum()), 3)
+    return np.asarray(np.bincount(labels[mesh.faces].ravel(), shares, PART_COUNT), np.float64)

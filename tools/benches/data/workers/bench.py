@@ -12,13 +12,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 
 from benches.data.loader.baselines import Premade
-from benches.data.loader.bench import check_counts
+from benches.data.loader.bench import BATCH, ROUNDS, packed_set
 from benches.data.loader.passes import checksum_of
 from benches.data.loader.processes import processor_seconds
 from benches.data.workers import subject
@@ -28,12 +27,7 @@ from benches.measuring import counter
 from bodyseg_data.artifacts import VariantName
 from bodyseg_data.core import BadSample, ProgressCallback, silent
 from bodyseg_data.loading import RangeImages
-from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
-from bodyseg_data.samples import ViewGrid
 
-_BATCH: Final = 20
-_ROUNDS: Final = 7
-_VIEWS_A_BODY: Final = 18
 VARIANTS: Final[tuple[VariantName, ...]] = ("all", "none")
 START_METHOD: Final = "spawn"  # of the processes that hold a loader each
 _WAIT_S: Final = 0.01
@@ -63,21 +57,15 @@ def bench_workers(
     views: samples in all, rounded up to whole bodies of the open set. docs/results/loading_speed.md says what the keys
     hold. Raises BadConfig if there are too few samples for so many workers.
     """
-    meshes = -(-views // _VIEWS_A_BODY)
-    check_counts(meshes * _VIEWS_A_BODY, _BATCH, num_workers)
-    packing = Packing("open", meshes=meshes, views=ViewGrid(count=_VIEWS_A_BODY))
-    with TemporaryDirectory(prefix="bodyseg-workers-") as folder:
-        packed = Path(folder) / "set"
-        with open_engine(PROCESSES, None, packing) as on:
-            pack(packing, packed, on.executor, on.workers)
+    with packed_set(views, num_workers) as packed:
         return measure(packed, num_workers, progress=progress)
 
 
 def measure(
     packed: Path,
     num_workers: Sequence[int] = (0, 2, 4),
-    batch: int = _BATCH,
-    rounds: int = _ROUNDS,
+    batch: int = BATCH,
+    rounds: int = ROUNDS,
     progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """`bench_workers` on the set in `packed`."""

@@ -15,7 +15,7 @@ from benches.measuring import Figures
 from benches.model.chosen import chosen_network
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
-from benches.model.failures.study import CROSSED, FailureCounts, Picture
+from benches.model.failures.study import FailureCounts, Picture
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.bodies.skeleton import Pose
 from bodyseg_data.core import ProgressCallback, silent
@@ -66,7 +66,6 @@ def bench_failures(
             "variant": "all",
             "training_bodies": len(trained_on) or None,
             "training_pose_kinds": dict(Counter(kind_of_pose(name) for name in names).most_common()),
-            "training_bodies_with_crossed_arms": sorted({name for name in names if kind_of_pose(name) == CROSSED}),
             "rules": [asdict(cause) for cause in CAUSES],
             "sets": results,
         },

@@ -30,7 +30,7 @@ def bench_everyday(views: int = 130, progress: ProgressCallback = silent) -> dic
     """Draw `views` bodies, evenly spread over the source in rounds of its stances.
 
     "seconds": of processor for a pose, mean and 95th percentile. "attempts": poses drawn for one accepted.
-    "rejected": share of the poses drawn. "unresolved": share of bodies whose skin goes deeper than is accepted, since
+    "unresolved": share of bodies whose skin goes deeper than is accepted, since
     no attempt was better. "contact_mm", "over_10_mm", "over_20_mm": of the bare bodies, as `bench interpenetration`.
     "coverage": share of the postures of `hard` that are within 15 degrees of a training pose, mean of the angles
     between segments of the body, for `open` and `wide` alone, and with these bodies.
@@ -53,7 +53,6 @@ def bench_everyday(views: int = 130, progress: ProgressCallback = silent) -> dic
         "bodies": len(chosen),
         "seconds": {"mean": round(float(np.mean(seconds)), 2), "p95": round(float(np.quantile(seconds, 0.95)), 2)},
         "attempts": round(float(attempts.mean()), 2),
-        "rejected": round(1 - len(chosen) / float(attempts.sum()), 3),
         "unresolved": round(float(np.mean([each.deepest_m > DEEPEST_M for each in drawn])), 3),
         "contact_mm": round(float(depths.max()) * 1e3),
         "over_10_mm": round(float((depths > 0.01).mean()), 3),

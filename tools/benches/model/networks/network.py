@@ -61,7 +61,8 @@ def bench_network(
     cpu_ms, gpu_ms: of `forward` on one frame of 640 x 329 pixels that a body fills, float32, all threads. Raises
     BadConfig for runs or scores that cannot be read or do not fit, MissingLibrary without Anny.
     """
-    candidates = _candidates(runs)
+    with with_baselines():
+        candidates = _candidates([*NETWORKS], runs)
     accuracies = _accuracies(scores, candidates)
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
@@ -100,12 +101,7 @@ def bench_network(
     }
 
 
-def _candidates(runs: Sequence[Path]) -> dict[str, _Candidate]:
-    with with_baselines():
-        return _candidates_of([*NETWORKS], runs)
-
-
-def _candidates_of(kinds: Sequence[str], runs: Sequence[Path]) -> dict[str, _Candidate]:
+def _candidates(kinds: Sequence[str], runs: Sequence[Path]) -> dict[str, _Candidate]:
     given = [(path, load_network(path)) for path in runs]
     if SHIPPED.exists():
         given.append((SHIPPED, load_network(SHIPPED)))
@@ -123,14 +119,10 @@ def _candidates_of(kinds: Sequence[str], runs: Sequence[Path]) -> dict[str, _Can
     for kind in kinds:
         if kind not in first:
             try:
-                first[kind] = _new(kind)
+                first[kind] = _Candidate(kind, build(kind, seed=0).eval(), None)
             except MissingLibrary as error:
                 sys.stderr.write(f"{kind} is left out: {error}\n")
     return {kind: first[kind] for kind in kinds if kind in first} | further
-
-
-def _new(kind: str) -> _Candidate:
-    return _Candidate(kind, build(kind, seed=0).eval(), None)
 
 
 def _accuracies(files: Sequence[Path], candidates: dict[str, _Candidate]) -> dict[str, float]:

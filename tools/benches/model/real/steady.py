@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +26,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Trained
 from bodyseg_model.segmentation import CarriedLabels, Segmenter
-from bodyseg_model.segmentation.carried_labels import Carrying, Cells, Floats
+from bodyseg_model.segmentation.carried_labels import Cells, Floats
 
 ALONE: Final = "alone"
 CARRIED_ALONG: Final = "parts"
@@ -96,10 +95,8 @@ def bench_steady(
     by_way = moving["networks"]["network"]
     return {
         "network": network_name,
-        "carrying": asdict(Carrying()),
         "still": still,
-        "moving": {name: moving[name] for name in ("shots", "frames", "window", "points")}
-        | {"ways": {way: scores | {"ratio": ratio_of(scores)} for way, scores in by_way.items()}},
+        "moving": {name: moving[name] for name in ("shots", "frames", "window")},
         "tables": {"steady": table(still["ways"], by_way)},
     }
 
@@ -128,15 +125,12 @@ def still_person(trained: Trained, folder: Path, views: int, progress: ProgressC
         compared, changed = changes(frames, fused, [answer.labels for answer in given])
         ways[way] = {
             "changed": round(changed / compared, 5) if compared else None,
-            "compared": compared,
             "pixel_accuracy": scored(frames, truth, given)["pixel_accuracy"],
         }
     return {
         "recording": folder.name,
         "frames": len(frames),
-        "mirrored": mirrored,
         "degrees_apart": {"median": round(float(np.median(angles)), 2), "most": round(max(angles), 2)},
-        "vertices": len(fused.vertices),
         "ways": ways,
     }
 
