@@ -39,9 +39,6 @@ def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatc
     ]
     assert min(row["cpu_s"] for row in (whole, indexed, largest)) > 0
     assert 50 < whole["bytes"] / SHARD_SAMPLES < 200
-    assert whole["index_bytes"] == 0
-    assert largest["index_bytes"] == 3 * indexed["index_bytes"]
-    assert 10 < indexed["index_bytes"] / SHARD_SAMPLES < 30
     assert largest["bytes"] - indexed["bytes"] < 2 * 500, "a short line a shard"
     assert set(found["fits"]) == {"bytes", "cpu_s", "memory_bytes"}
 
@@ -101,7 +98,4 @@ def test_a_large_manifest_is_one_that_is_read(small_set: Path, tmp_path: Path) -
 
 def test_a_line_goes_through_its_points() -> None:
     rows = [{"samples": number, "bytes": 100 + 7 * number} for number in (10, 20, 50)]
-    found = fit(rows, "bytes", 1000)
-    assert found["value"] == pytest.approx(7100)
-    assert (found["constant"], found["a_sample"]) == (pytest.approx(100), pytest.approx(7))
-    assert found["largest_error"] == 0
+    assert fit(rows, "bytes", 1000)["value"] == pytest.approx(7100)

@@ -113,5 +113,5 @@ def test_packing_is_measured(tmp_path: Path) -> None:
     write_by_vertex(tmp_path / "people" / "landmarks.json")
     packing, out = Packing("folder", tmp_path / "people", views=ViewGrid(count=2)), tmp_path / "shards"
     found = render_packing.measured(packing, out, 1)
-    assert (found["samples"], found["splits"], found["workers"]) == (4, {"train": 4, "test": 0}, 1)
+    assert (found["samples"], found["workers"]) == (4, 1)
     assert found["bytes"] == sum(tar.stat().st_size for tar in out.glob("*.tar"))

@@ -50,5 +50,5 @@ def test_known_strengths_are_compared_with_those_found(figures: dict[str, Any], 
 def test_figures_that_are_not_found_are_counted() -> None:
     errors = [{"error": None}, {"error": -0.3}, {"error": 0.05}]
     summary = summarise([{"scene": "1 still", "figures": errors, "others_needed": ["noise"]}])
-    wanted = {"figures": 3, "within": 1, "beyond": 1, "not_found": 1, "median_error": 0.175, "others_needed": 1}
+    wanted = {"figures": 3, "within": 1, "beyond": 1, "not_found": 1, "others_needed": 1}
     assert summary == {"1 still": wanted}

@@ -101,7 +101,7 @@ def bench_dense(
                 rows["times_as_long"] = _times_as_long(trained.network, next(iter(opened.values())))
             for variant, found in seen.items():
                 rows.setdefault("people", {})[variant] = _on_people(trained.network, found, pictures, tick)
-    return Figures({"template": load_template().name, "pixels_an_image": _PIXELS, "networks": rows_of}, pictures)
+    return Figures({"networks": rows_of}, pictures)
 
 
 def _on_set(
@@ -220,7 +220,6 @@ def _on_people(network: Network, views: Sequence[_Seen], pictures: list[Shown], 
         twice = [pair for several in answers.values() for pair in itertools.combinations(several, 2)]
         result["geodesic_mm"] = summary(along_template(*np.array(pairs).T))
         result["between_views_mm"] = summary(along_template(*np.array(twice).T)) if twice else None
-        result["landmarks"] = len({name for _, name in answers})
     return result
 
 

@@ -40,7 +40,7 @@ def bench_far(
 
     views: samples in all, rounded up to whole bodies; data: a set to take in place of a new one. rows: for each cache
     (for the whole set, for a part of it, none) each order, and one also without look-ahead: seconds to the first batch
-    and of the epoch, bytes sent over the set's, requests; server_s, processor seconds of the server, another process.
+    and of the epoch, bytes sent over the set's, requests.
     link_s: the set's bytes by the rate of all connections. shard_s: one shard's fetch. local_s: of an epoch from a
     local folder. warm_over_local: processor time from a full cache over that from the folder. mixing: see `_mixing`.
     """
@@ -113,7 +113,6 @@ def _epoch(
         "look_ahead": looks,
         "first_s": round(first, 3),
         "epoch_s": round(seconds, 3),
-        "server_s": round(server.processor_s, 2),
         "times_the_set": round(server.sent / size, 3),
         "requests": server.requests,
     }

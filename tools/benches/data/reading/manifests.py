@@ -23,7 +23,6 @@ SHARD_SAMPLES: Final = 1080
 VIEWS: Final = 54
 """Samples of a shard and views of a body, those of `bodyseg shard`."""
 
-_FOUND: Final = 1000
 _ONLY_SHARDS: Final = b'"shards":[]'
 
 
@@ -82,9 +81,8 @@ def write_large_index(example: Manifest, samples: int, folder: Path) -> None:
 def cost_of_opening(example: Manifest, samples: int, indexed: bool) -> dict[str, Any]:
     """Costs of opening a set of `samples` in a process of its own. indexed: its manifest has an index.
 
-    bytes: that opening reads; index_bytes: beside them. cpu_s: processor seconds. memory_bytes: that the process
-    takes in addition, at most. order_cpu_s, order_memory_bytes: the same of the first samples of a shuffled epoch.
-    sample_us: processor microseconds of finding one of `_FOUND` samples anywhere in the set.
+    bytes: of the manifest, which opening reads. cpu_s: processor seconds. memory_bytes: that the process takes in
+    addition, at most.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -92,30 +90,19 @@ def cost_of_opening(example: Manifest, samples: int, indexed: bool) -> dict[str,
         context = multiprocessing.get_context("spawn")
         with context.Pool(1) as pool:
             found = pool.apply(_open, (folder,))
-        index = folder / INDEX_NAME
-        sizes = {
-            "bytes": (folder / MANIFEST_NAME).stat().st_size,
-            "index_bytes": index.stat().st_size if indexed else 0,
-        }
-    return {"samples": samples, "indexed": indexed, **sizes, **found}
+        size = (folder / MANIFEST_NAME).stat().st_size
+    return {"samples": samples, "indexed": indexed, "bytes": size, **found}
 
 
 def fit(rows: Sequence[dict[str, Any]], name: str, at: int) -> dict[str, float]:
-    """Straight line through the column `name` of `rows` over their samples, by least squares of the relative errors.
-
-    Returns its constant and its slope a sample, the largest error of a row, relative, and its value for `at` samples.
+    """Straight line through the column `name` of `rows` over their samples, by least squares of the relative errors:
+    its value for `at` samples.
     """
     samples = np.array([row["samples"] for row in rows], float)
     values = np.array([row[name] for row in rows], float)
     columns = np.stack([np.ones_like(samples), samples], axis=1)
     constant, slope = np.linalg.lstsq(columns / values[:, None], np.ones_like(values), rcond=None)[0]
-    errors = np.abs(columns @ (constant, slope) / values - 1)
-    return {
-        "constant": float(constant),
-        "a_sample": float(slope),
-        "largest_error": round(float(errors.max()), 4),
-        "value": float(constant + slope * at),
-    }
+    return {"value": float(constant + slope * at)}
 
 
 def _record(number: int) -> ShardRecord:
@@ -145,36 +132,11 @@ def _record(number: int) -> ShardRecord:
 
 
 def _open(folder: Path) -> dict[str, float]:
-    opening = _Usage()
-    images = RangeImages(folder, variant="none", split="train")
-    cpu_s, memory = opening.read()
-    ordering = _Usage()
-    images.requests(0).part(0, 1)
-    order_cpu_s, order_memory = ordering.read()
-    chosen = np.random.default_rng(0).integers(0, len(images), _FOUND).tolist()
-    finding = _Usage()
-    for index in chosen:
-        images.location(index)
-    return {
-        "cpu_s": round(cpu_s, 3),
-        "memory_bytes": memory,
-        "order_cpu_s": round(order_cpu_s, 3),
-        "order_memory_bytes": order_memory,
-        "sample_us": round(finding.read()[0] / _FOUND * 1e6, 2),
-    }
-
-
-class _Usage:
-    """Processor time and memory of this process from now on."""
-
-    def __init__(self) -> None:
-        Path("/proc/self/clear_refs").write_text("5")  # starts the count of the most memory anew
-        self._memory, self._start = _status("VmRSS"), time.process_time()
-
-    def read(self) -> tuple[float, int]:
-        """Return processor seconds, and the most memory in addition to that at the start, bytes."""
-        seconds = time.process_time() - self._start
-        return seconds, max(0, _status("VmHWM") - self._memory)
+    Path("/proc/self/clear_refs").write_text("5")  # starts the count of the most memory anew
+    memory, start = _status("VmRSS"), time.process_time()
+    RangeImages(folder, variant="none", split="train")
+    seconds = time.process_time() - start
+    return {"cpu_s": round(seconds, 3), "memory_bytes": max(0, _status("VmHWM") - memory)}
 
 
 def _status(field: str) -> int:

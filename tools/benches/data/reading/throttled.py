@@ -19,12 +19,12 @@ class ThrottledServer:
     """Serves `folder` from `__enter__` to `__exit__`. latency_s: before each answer. rate: bytes a second of each
     connection.
 
-    Counted since `forget`: requests and sent bytes of shards, and the server's processor seconds.
+    Counted since `forget`: requests and sent bytes of shards.
     """
 
     def __init__(self, folder: Path, latency_s: float, rate: float) -> None:
         context = get_context("fork")  # the address is bound before, so that nothing is sent back
-        server = _Server(folder, latency_s, rate, context.Array("d", 3))
+        server = _Server(folder, latency_s, rate, context.Array("q", 2))
         self._counts, self.url = server.counts, f"http://127.0.0.1:{server.server_port}/"
         self._process = context.Process(target=server.serve_forever, args=(0.02,), daemon=True)
         self._process.start()
@@ -40,7 +40,7 @@ class ThrottledServer:
     def forget(self) -> None:
         """Count from 0 again."""
         with self._counts:
-            self._counts[:] = [0.0] * 3
+            self._counts[:] = [0, 0]
 
     @property
     def requests(self) -> int:
@@ -50,13 +50,9 @@ class ThrottledServer:
     def sent(self) -> int:
         return int(self._counts[1])
 
-    @property
-    def processor_s(self) -> float:
-        return float(self._counts[2])
-
 
 class _Server(ThreadingHTTPServer):
-    """counts: shared, requests, bytes and seconds as `ThrottledServer` names them."""
+    """counts: shared, requests and bytes as `ThrottledServer` names them."""
 
     daemon_threads = True
     request_queue_size = 64
@@ -65,8 +61,8 @@ class _Server(ThreadingHTTPServer):
         self.folder, self.latency_s, self.rate, self.counts = folder, latency_s, rate, counts
         super().__init__(("127.0.0.1", 0), _Handler)
 
-    def count(self, *amounts: float) -> None:
-        """Add to requests, bytes and seconds."""
+    def count(self, *amounts: int) -> None:
+        """Add to requests and bytes."""
         with self.counts:
             self.counts[:] = [before + more for before, more in zip(self.counts, amounts, strict=True)]
 
@@ -86,7 +82,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         is_shard = path.suffix == ".tar"
         if is_shard:
-            self.server.count(1, 0, 0)
+            self.server.count(1, 0)
         size = path.stat().st_size
         first, last = 0, size - 1
         if asked := self.headers.get("Range", ""):
@@ -101,7 +97,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(file.fileno(), first, last + 1, is_shard)
 
     def _send(self, file: int, first: int, stop: int, is_counted: bool) -> None:
-        start, at, used = time.monotonic(), first, time.thread_time()
+        start, at = time.monotonic(), first
         while at < stop:
             # What is due by now, so that a thread that wakes up late keeps the rate.
             due = min(stop, first + int((time.monotonic() - start + _STEP_S) * self.server.rate))
@@ -109,9 +105,7 @@ class _Handler(BaseHTTPRequestHandler):
                 sent = os.sendfile(self.connection.fileno(), file, at, due - at)
                 at += sent
                 if is_counted:
-                    now = time.thread_time()
-                    self.server.count(0, sent, now - used)
-                    used = now
+                    self.server.count(0, sent)
             if at < stop:
                 time.sleep(_STEP_S)
 

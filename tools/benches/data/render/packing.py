@@ -9,7 +9,6 @@ from typing import Any
 
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
-from bodyseg_data.samples import SPLITS
 
 
 def bench_packing(
@@ -29,12 +28,9 @@ def measured(packing: Packing, out: Path, workers: int, progress: ProgressCallba
     samples, size = manifest.samples(), sum(shard.size for shard in manifest.shards)
     return {
         "samples": samples,
-        "splits": {split: manifest.samples(split) for split in SPLITS},
-        "shards": len(manifest.shards),
         "bytes": size,
         "bytes_per_sample": round(size / samples),
         "seconds": round(seconds, 1),
         "samples_per_second": round(samples / seconds, 1),
         "workers": workers,
-        "notes": sum(len(shard.notes) for shard in manifest.shards),
     }

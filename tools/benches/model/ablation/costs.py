@@ -7,6 +7,7 @@ once a round, in an order that rotates.
 from __future__ import annotations
 
 import os
+import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -42,7 +43,7 @@ _NETWORK_S: Final = 15.0
 
 
 def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) -> Tree:
-    """Milliseconds of processor of a job, divided by `each`, its number of items: median and quartiles over rounds."""
+    """Milliseconds of processor of a job, divided by `each`, its number of items: median over rounds."""
     names = list(jobs)
     found: dict[str, list[float]] = {name: [] for name in names}
     for number in range(rounds + 1):
@@ -52,11 +53,7 @@ def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) 
             jobs[name]()
             if number:  # the first round fills caches
                 found[name].append(1e3 * (time.process_time() - start) / each)
-    rows = {}
-    for name, values in found.items():
-        low, median, high = np.percentile(values, (25, 50, 75)).tolist()
-        rows[name] = {"ms": round(median, 4), "quartiles": [round(low, 4), round(high, 4)]}
-    return rows
+    return {name: {"ms": round(statistics.median(values), 4)} for name, values in found.items()}
 
 
 def loader_costs(data: str) -> Tree:

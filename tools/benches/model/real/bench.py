@@ -137,12 +137,17 @@ def settled(frames: Sequence[Frame]) -> tuple[ProjectorShadow | None, bool]:
     return shadow, bool(probably_mirrored(shadow, side))
 
 
-def true_labels(
-    frames: Sequence[Frame], fused: FusedSurface, placements: Placements
-) -> tuple[dict[str, list[Labels]], dict[str, Any]]:
-    """True labels by `in_frames`, and how well the placements repeat. Raises BadConfig as `surface_labels`."""
-    labels = labels_of_surface(fused, placements)
-    return in_frames(frames, fused, labels), described(placements, labels)
+def surface_of(stored: Sequence[Frame], folder: Path) -> tuple[bool, list[Frame], FusedSurface, dict[str, Labels]]:
+    """Whether stored frames are mirrored; the frames, turned right, that fit one surface; that surface, and the labels
+    of its vertices by each placement of the landmarks in `folder`. Raises BadConfig as `surface_labels`.
+    """
+    _, mirrored = settled(stored)
+    placements = load_placements(folder)
+    with torch_threads(1):
+        turned = [frame.mirrored() for frame in stored] if mirrored else stored
+        frames = fitted(turned, fuse(turned))
+        fused = fuse(frames)
+        return mirrored, frames, fused, labels_of_surface(fused, placements.mirrored() if mirrored else placements)
 
 
 def labels_of_surface(fused: FusedSurface, placements: Placements) -> dict[str, Labels]:

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from benches.model.chosen import chosen_network
 from benches.model.motion import CARRIED, temporal
-from benches.model.real.bench import Answer, scored, settled, true_labels
-from benches.model.real.fusion import FusedSurface, fitted, fuse
-from benches.model.real.labels import ON_SURFACE_M, load_placements
+from benches.model.real.bench import Answer, in_frames, scored, surface_of
+from benches.model.real.fusion import FusedSurface
+from benches.model.real.labels import ON_SURFACE_M
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Trained
 from bodyseg_model.segmentation import CarriedLabels, Segmenter
 from bodyseg_model.segmentation.carried_labels import Cells, Floats
@@ -108,13 +107,8 @@ def still_person(trained: Trained, folder: Path, views: int, progress: ProgressC
     Frames and cameras are made to fit one surface as in `bench_real`, and frames are labelled in their order.
     """
     stored = read_recording(folder, views)
-    _, mirrored = settled(stored)
-    placements = load_placements(folder)
-    with torch_threads(1):
-        turned = [frame.mirrored() for frame in stored] if mirrored else stored
-        frames = fitted(turned, fuse(turned))
-        fused = fuse(frames)
-        truth = true_labels(frames, fused, placements.mirrored() if mirrored else placements)[0]["mean"]
+    mirrored, frames, fused, labels = surface_of(stored, folder)
+    truth = in_frames(frames, fused, {"mean": labels["mean"]})["mean"]
     answers = labelled(trained, stored, mirrored, progress)
     angles = [
         float(np.degrees(np.arccos(np.clip(one.placed.axes[2] @ other.placed.axes[2], -1, 1))))

@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-import numpy as np
-
 from benches.measuring import counter, evenly_spaced
 from benches.model.sensor_fit.recordings import Scene, Scenes, in_steps
 from bodyseg_data.artifacts import SensorModel, artifact_class
@@ -138,7 +136,6 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
             "within": sum(error <= WITHIN for error in known),
             "beyond": sum(error > WITHIN for error in known),
             "not_found": len(errors) - len(known),
-            "median_error": round(float(np.median(known)), 4) if known else None,
             "others_needed": sum(len(row["others_needed"]) for row in chosen),
         }
     return summary

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from benches.measuring import evenly_spaced
 from benches.model.real.agreement import agreement
-from benches.model.real.bench import Answer, gross_errors, in_frames, labels_of_surface, settled
-from benches.model.real.fusion import FusedSurface, fitted, fuse
-from benches.model.real.labels import load_placements
+from benches.model.real.bench import Answer, gross_errors, in_frames, surface_of
+from benches.model.real.fusion import FusedSurface
 from benches.model.real.recording import Frame, read_recording
 from benches.model.rooms.real import CUTS, ROOM, RealFrame, cut_frames, room_frames
 from benches.model.variants.scores import FILE
@@ -249,14 +248,8 @@ def _loaded(folder: Path, device: torch.device) -> Trained:
 
 def _made_labels(folder: Path, stored: Sequence[Frame]) -> dict[str, Any]:
     """Frames mirrored or not, the surface, the cameras that bring them onto it, labels by each placement."""
-    _, mirrored = settled(stored)
-    placements = load_placements(folder)
-    with torch_threads(1):
-        turned = [frame.mirrored() for frame in stored] if mirrored else stored
-        frames = fitted(turned, fuse(turned))
-        fused = fuse(frames)
-        labels = labels_of_surface(fused, placements.mirrored() if mirrored else placements)
-        truth = in_frames(frames, fused, labels)
+    mirrored, frames, fused, labels = surface_of(stored, folder)
+    truth = in_frames(frames, fused, labels)
     made: dict[str, Any] = {
         "vertices": fused.vertices,
         "vertex_labels": labels["mean"],
