@@ -14,6 +14,7 @@ from benches.data.render.figure import _STAGES, draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
 from people_on_disk import write_by_vertex, write_mesh
 from pictures import decoded, marks
+from small_rig import SMALL
 
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.packing import Packing
@@ -22,7 +23,7 @@ from bodyseg_data.samples import ViewGrid
 
 pytestmark = pytest.mark.usefixtures("quick_geodesics")
 
-PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
+PACKING = Packing("open", meshes=1, views=ViewGrid(count=2), rig=SMALL)
 VIEWS = list(PACKING.views)
 
 
@@ -78,7 +79,7 @@ def test_renderers_are_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, row in told["renderers"].items():
         assert row["ms_per_view"] > 0 and row["worst_mm"] >= row["range_error_mm"] > 0
         if name == PLAIN:
-            assert 0.1 < row["range_error_mm"] < 1 and 0.001 < row["silhouette_error"] < 0.02
+            assert 0.4 < row["range_error_mm"] < 4 and 0.004 < row["silhouette_error"] < 0.08
         else:
             assert row["range_error_mm"] < 0.001 and row["silhouette_error"] < 0.001
     assert set(told["renderers"]) | set(told["renderers_missing"]) == {"raster", "embree", "opengl", PLAIN}

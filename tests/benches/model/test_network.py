@@ -13,7 +13,7 @@ from benches.model.networks import network as bench
 from benches.model.networks import network_times
 from benches.model.networks.network import bench_network
 from benches.model.networks.network_figure import _MARKS, draw_network
-from benches.model.networks.network_times import LEAST_ROUNDS, operations, summary
+from benches.model.networks.network_times import operations, summary
 from pictures import decoded, marks, part
 from torch import nn
 
@@ -42,13 +42,13 @@ def new(name: str, settings: Any = None, seed: int | None = None) -> Network:
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Small networks and images, no shipped weights, one thread, five rounds, one run before each."""
+    """Small networks and images, no shipped weights, one thread, two rounds, one run before each."""
     monkeypatch.setattr(bench, "processors", lambda: 1)
     monkeypatch.setattr(bench, "build", new)
     monkeypatch.setattr(bench, "typical_frames", lambda count: [person() for _ in range(count)])
     monkeypatch.setattr(bench, "SENSOR_SIZE", (96, 72))
     monkeypatch.setattr(bench, "SHIPPED", tmp_path / "none.safetensors")
-    monkeypatch.setattr(network_times, "MOST_ROUNDS", LEAST_ROUNDS)
+    monkeypatch.setattr(network_times, "MOST_ROUNDS", 2)
     monkeypatch.setattr(network_times, "WARM_S", 0.0)
 
 
