@@ -5,11 +5,16 @@ from __future__ import annotations
 import re
 import tomllib
 from email.message import Message
+from functools import cache
 
 import pytest
+from benches import licences
 from benches.__main__ import main
-from benches.licences import STREAMING, brought, extras, families, licence_of
+from benches.licences import STREAMING, extras, families, licence_of
 from folders import DOCS, ROOT
+
+brought = cache(licences.brought)
+"""What is installed stays as it is: each extra is followed once."""
 
 TEXT = "Copyright (c) 2020\n\nRedistribution and use in source\nand binary forms, with or without modification"
 
@@ -76,11 +81,11 @@ def test_documents_name_the_licences_of_what_is_installed() -> None:
         *(name for extra in project["optional-dependencies"].values() for name in extra),
     ]
     names = {re.split(r"[^\w-]", text)[0].lower() for text in needed} - {"bodyseg"}
-    licences = {package.name.lower(): package.licence for package in brought("dev")}
+    licence_by_name = {package.name.lower(): package.licence for package in brought("dev")}
     wrong = []
     for name in sorted(names):
         said = [line.split("|")[2] for line in lines if re.match(rf"\| [^|]*`{name}`", line, re.IGNORECASE)]
-        installed = licences[name]
+        installed = licence_by_name[name]
         if installed in ("unknown", "not installed"):
             continue
         if not said or not families(said[0]) & families(installed):

@@ -87,6 +87,12 @@ def test_every_processor_has_its_panels(results: Path, tmp_path: Path) -> None:
     assert all(f"·   {hardware}" in drawn for hardware in others)
 
 
+@pytest.fixture
+def not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chart, "draw", lambda choice, *_: Picture(b"", b""))
+
+
+@pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("field", ["hardware", "views", "codecs"])
 def test_a_damaged_file_leaves_nothing_half_written(results: Path, tmp_path: Path, field: str) -> None:
     write_figures_of(results, "render", "codec")
@@ -98,6 +104,7 @@ def test_a_damaged_file_leaves_nothing_half_written(results: Path, tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("not_drawn")
 def test_folders_are_checked(results: Path, tmp_path: Path) -> None:
     write_figures_of(results, "codec")
     with pytest.raises(BadConfig, match=r"^--in must be a folder, found .*nowhere$"):
@@ -109,18 +116,18 @@ def test_folders_are_checked(results: Path, tmp_path: Path) -> None:
         run(Options(in_=results, out=tmp_path / "file"))
 
 
-def test_a_page_may_quote_what_was_drawn(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("not_drawn")
+def test_a_page_may_quote_what_was_drawn(results: Path, tmp_path: Path) -> None:
     write_figures_of(results, "codec")
-    monkeypatch.setattr(chart, "draw", lambda choice, *_: Picture(b"", b""))
     page = tmp_path / "index.md"
     page.with_name("index.md.in").write_text("{{ codec.command }} {{ charts.left_out[0] }}")
     assert run(Options(in_=results, out=tmp_path / "out", page=(page,))) == 0
     assert page.read_text() == f"{SOURCE['command']} artifacts"
 
 
-def test_a_page_without_a_template_is_refused(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("not_drawn")
+def test_a_page_without_a_template_is_refused(results: Path, tmp_path: Path) -> None:
     write_figures_of(results, "codec")
-    monkeypatch.setattr(chart, "draw", lambda choice, *_: Picture(b"", b""))
     with pytest.raises(BadConfig, match="--page needs a template of UTF-8 text: .*index.md.in"):
         run(Options(in_=results, out=tmp_path / "charts", page=(tmp_path / "index.md",)))
     assert not (tmp_path / "charts").exists(), "before the charts are drawn"
