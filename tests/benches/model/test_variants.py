@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
+import pickle
 import shutil
 import statistics
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import VARIANTS, MissingData, Noise, SensorModel, artifacts_to_json, load_sensor_model
 from bodyseg_data.core import BadConfig
 from bodyseg_model.commands import train as train_command
+from bodyseg_model.evaluation import evaluate
 from bodyseg_model.networks import load_network
 from bodyseg_model.training import RunOptions
 from bodyseg_model.training.distributed import ProcessGroup
@@ -111,6 +112,27 @@ def test_every_network_meets_every_test_set(figures_set: Path, measured: tuple[P
     assert json.loads(json.dumps(figures)) == figures
 
 
+class Elsewhere:
+    """In place of processes: what they are given is pickled for them, and they alone can score."""
+
+    def __init__(self, processes: int, context: Any) -> None:
+        assert processes == 2 and context.get_start_method() == "spawn"
+
+    def __enter__(self) -> Elsewhere:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return
+
+    def submit(self, *job: Any) -> Future[Any]:
+        work, *given = pickle.loads(pickle.dumps(job))
+        done = Future[Any]()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(scores, "evaluate", evaluate)
+            done.set_result(work(*given))
+        return done
+
+
 def test_networks_scored_together_get_the_same_scores(
     figures_set: Path, measured: tuple[Path, Figures], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,9 +141,7 @@ def test_networks_scored_together_get_the_same_scores(
         shutil.copytree(measured[0] / f"{variant}-0", folder / f"{variant}-0")
         (folder / f"{variant}-0" / scores.FILE).unlink()
     monkeypatch.setattr(scores, "evaluate", None)  # this process scores nothing itself
-    # In place of spawned processes, whose start takes seconds, those that have PyTorch imported.
-    forks = SimpleNamespace(get_context=lambda method: multiprocessing.get_context("forkserver"))
-    monkeypatch.setattr(variants_bench, "multiprocessing", forks)
+    monkeypatch.setattr(variants_bench, "ProcessPoolExecutor", Elsewhere)
     found = bench_variants(str(figures_set), (folder,), 1, images=IMAGES, only_finished=True, together=2)
     assert found["table"] == {variant: measured[1]["table"][variant] for variant in ("none", "all")}
     assert found["missing"] == ["occ-0", "noise-0", "md-0"]
