@@ -34,7 +34,7 @@ class Balls:
     name = "balls"
 
     def bodies(self) -> list[BodyRef]:
-        return [BodyRef("A", "A", f"ball-{size}", "standing", "train") for size in (3, 4)]
+        return [BodyRef("A", "A", f"ball-{size}", "standing", "train") for size in (3, 2)]
 
     def build(self, body: BodyRef) -> Body:
         return round_body(int(body.mesh[-1]))

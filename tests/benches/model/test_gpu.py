@@ -22,8 +22,8 @@ def frame(rows: int, columns: int) -> np.ndarray:
 
 
 def test_all_is_measured_on_any_device(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu, "MOST_ROUNDS", 5)
-    monkeypatch.setattr(network_times, "MOST_ROUNDS", 5)
+    monkeypatch.setattr(gpu, "MOST_ROUNDS", 2)
+    monkeypatch.setattr(network_times, "MOST_ROUNDS", 2)
     monkeypatch.setattr(gpu, "ROUNDS", 1)
     monkeypatch.setattr(network_times, "WARM_S", 0.0)
     networks = {COMPACT: build(COMPACT, {"patch": 16, "widths": [8], "blocks": [1]}, 0).eval()}
