@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches.model.rooms.made import Made, Who
-from benches.model.segment import bench, live
+from benches.model.segment import bench
 from benches.model.segment.bench import (
     LIVE,
     ROUNDS,
@@ -104,7 +104,6 @@ def test_the_bench_runs_every_way_and_draws(
     assert [(camera.rows, camera.columns) for camera in cameras().values()] == [(480, 640), (1024, 1024)]
     monkeypatch.setattr(bench, "cameras", lambda: {"small": lens})
     monkeypatch.setattr(bench, "ROUNDS", 1)
-    monkeypatch.setattr(live, "_ROUNDS", 1)
     steps: list[int] = []
     figures = bench_segment(views=1, progress=lambda done, total, note="": steps.append(done))
     assert steps == list(range(1, 2 + len(ways_by_torch)))

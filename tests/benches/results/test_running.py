@@ -215,16 +215,16 @@ def test_an_interrupted_step_of_other_code_starts_anew(shop: Workshop, interrupt
 
 def test_steps_run_side_by_side_but_for_those_that_take_times(shop: Workshop, capsys: Capture) -> None:
     meet = 'touch "met-$2"; until [ -e "met-$3" ]; do sleep 0.05; done; '
-    alone = 'if [ "$(ls busy-* 2>/dev/null)" ]; then exit 1; fi; touch busy-alone; sleep 0.1; rm busy-alone; '
-    busy = "if [ -e busy-alone ]; then exit 1; fi; touch busy-$1; sleep 0.1; rm busy-$1; "
+    alone = 'if [ "$(ls busy-*)" ]; then exit 1; fi; touch busy-alone; sleep 0.1; rm busy-alone; '
+    busy = 'if [ -e busy-alone ]; then exit 1; fi; touch "busy-$2"; ' + meet + 'rm "busy-$2"; '
     runs = [
         shell(f"runs/{one}-0", "training", meet + TRAINING, "sets/a", f"runs/{one}-0", one, other)
         for one, other in ("xy", "yx")
     ]
     results = [
-        a_result("x", "runs/x-0", busy.replace("$1", "x") + RESULT),
+        a_result("x", "runs/x-0", busy.replace("$2", "of-x").replace("$3", "of-z") + RESULT),
         a_result("y", "runs/y-0", alone + RESULT, alone=True),
-        a_result("z", "runs/x-0", busy.replace("$1", "z") + RESULT),
+        a_result("z", "runs/x-0", busy.replace("$2", "of-z").replace("$3", "of-x") + RESULT),
     ]
     shop.steps = [a_set(), *runs, *results, a_page("x", "y", "z")]
     assert shop.run(jobs=2) == 0, capsys.readouterr().err
