@@ -25,7 +25,9 @@ class RasterRenderer(Renderer):
     """Renderer of one mesh that draws all its triangles for every camera."""
 
     def __init__(self, mesh: Mesh | Solid) -> None:
-        self._vertices, self._faces = mesh.vertices, mesh.faces
+        self._vertices, self._faces = mesh.vertices.view(), mesh.faces.view()
+        for array in (self._vertices, self._faces):
+            array.flags.writeable = False  # as some are: the compiler takes seconds for either kind
 
     def render(self, camera: PlacedCamera) -> Surface:
         device = camera.camera

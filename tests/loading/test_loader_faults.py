@@ -55,8 +55,7 @@ def keys(batches: Loader) -> list[str]:
     return [key for batch in batches for key in batch["key"]]
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-@pytest.mark.parametrize("victim", [0, 1])
+@pytest.mark.parametrize(("number", "victim"), [(signal.SIGKILL, 0), (signal.SIGTERM, 1)])
 def test_a_worker_that_is_killed_is_one_line_and_no_hang(small_set: Path, number: int, victim: int) -> None:
     batches = with_processes(RangeImages(small_set))
     delivered = iter(batches)
@@ -286,7 +285,7 @@ def test_errors_leave_nothing_behind(small_set: Path) -> None:
 
     batches = with_processes(Failing(small_set))
     before = resources()
-    for _ in range(5):
+    for _ in range(3):
         with pytest.raises(BodysegError, match="^twenty$"):
             keys(batches)
     assert resources() == before

@@ -13,7 +13,7 @@ from small_rig import SMALL
 
 from bodyseg_data.machine import kernels
 from bodyseg_data.meshes import Mesh, Solid
-from bodyseg_data.rendering import RasterRenderer
+from bodyseg_data.rendering import RasterRenderer, raster
 from bodyseg_data.rigs import PlacedCamera, load_rig
 from bodyseg_data.samples import View
 
@@ -83,6 +83,20 @@ def test_ranges_are_those_of_the_image() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_arrays_that_may_be_written_and_others_have_one_machine_code() -> None:
+    """Meshes of files may be written, bodies of a model may not; compiling takes seconds."""
+    mesh, seen = figure(), []
+    camera = SMALL.placed(mesh.centre, View(255, 0))[0]
+    for writeable in (True, False):
+        vertices, faces = mesh.vertices.copy(), mesh.faces.copy()
+        solid = Solid(vertices, faces)
+        solid.vertices.flags.writeable = solid.faces.flags.writeable = writeable
+        assert RasterRenderer(solid).render(camera).face.max() > 0
+        seen.append((len(raster._project.signatures), len(raster._fill.signatures)))
+        assert solid.vertices.flags.writeable == writeable
+    assert seen[0] == seen[1]
+
+
 def test_the_compiled_loops_give_the_bits_of_plain_python(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = figure()
     placed = RIG.placed(mesh.centre, View(215, 30))[0]
