@@ -236,9 +236,8 @@ def test_two_loaders_of_one_set_and_an_early_end(web: WebServer, figures_set: Pa
 
 def test_a_loop_that_is_left_ends_its_downloads(web: WebServer, tmp_path: Path) -> None:
     images = RangeImages(web.url("faulty"), "noise", cache=tmp_path)
-    manifest = images.manifest
-    a_sample = manifest.shards[0].lengths[0]
-    web.faults.act = lambda reply, before: replace(reply, step=a_sample, step_s=0.3)
+    manifest, sample = images.manifest, images.manifest.shards[0].lengths[0]
+    web.faults.act = lambda reply, before: replace(reply, step=sample, step_s=0.3)
     batches = loader(images, 1, 2, False)
     for _ in batches:
         break
