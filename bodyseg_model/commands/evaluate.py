@@ -13,7 +13,7 @@ from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model,
 from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, check_target, command_line, option, provenance
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
-from bodyseg_data.files import last_name, make_folder, write_json
+from bodyseg_data.files import last_name, make_folder, read_json, write_json
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_data.machine import peak_mb
@@ -117,6 +117,8 @@ def _check(options: Options) -> None:
         raise BadConfig(f"--json needs another name than the folder --figures, found {options.json}")
     if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
         raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
+    if options.json.is_file() and options.json.stat().st_size and read_json(options.json).get("format") != _FORMAT:
+        raise BadConfig(f"--json may replace earlier scores alone, found another file, {options.json}")
     training.use_threads(options.threads)
 
 

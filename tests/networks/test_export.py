@@ -79,3 +79,6 @@ def test_scores_and_the_card_do_not_replace_each_other(
     assert main(["evaluate", "--run", str(run), "--data", "absent", "--json", str(run / "network.json")]) == 2
     assert "--json must not replace the card of a network, found " in capsys.readouterr().err
     assert (run / "network.json").read_bytes() == card
+    assert main(["evaluate", "--run", str(run), "--data", "absent", "--json", str(scores)]) == 2  # as a manifest.json
+    assert f"--json may replace earlier scores alone, found another file, {scores}" in capsys.readouterr().err
+    assert scores.read_text() == text
