@@ -37,7 +37,8 @@ def draw_sensor_fit(figures: Tree, path: Path) -> None:
     axis.set_yticks(range(len(names)), names, fontsize=8)
     axis.set_ylim(len(names) - 0.4, -0.6)
     axis.set_xlim(-_LIMIT * 1.06, _LIMIT * 1.06)
-    axis.set_xlabel("relative error of the strength found (hollow: not found, or farther off)")
+    within = f"shaded: within {figures['within']:.0%}; hollow: not found, or farther off"
+    axis.set_xlabel(f"relative error of the strength found ({within})")
     axis.grid(axis="y", color="#eeeeee", linewidth=0.6)
     axis.spines[["top", "right"]].set_visible(False)
     handles = [
