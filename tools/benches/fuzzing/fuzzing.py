@@ -54,6 +54,9 @@ from bodyseg_model.recordings import open_recording
 SECONDS_EACH: Final = 2.0
 """The processor time that one input may take; the largest image allowed takes a second."""
 
+WARMING: Final = 64
+"""Inputs that a reader gets before any is measured."""
+
 _HANG_S: Final = 60.0
 _MEMORY: Final = 1 << 32  # that a process may allocate beyond what it has when it begins
 _SLACK: Final = 4 << 20  # libraries' own, once
@@ -215,7 +218,7 @@ def feed(target: str, seed: int, numbers: range, folder: Path) -> dict[str, Any]
 
 def _warm_up(target: str, seed: int, folder: Path) -> None:
     """Import and compile what reading needs, which takes time and memory once; few inputs need some of the loops."""
-    for number in range(64):
+    for number in range(WARMING):
         with contextlib.suppress(Exception):
             TARGETS[target].read(one_input(target, seed + 1, number), folder)
 
