@@ -12,7 +12,7 @@ from benches.landmarks.fitting_body import FittingBody, fitting_body
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.meshes import Mesh
 
-_CELL_M: Final = 0.02
+_CELL_M: Final = 0.03
 
 
 @cache
@@ -23,7 +23,7 @@ def whole_body() -> FittingBody:
 
 @cache
 def coarse_body() -> FittingBody:
-    """A quarter of its skin's vertices, as symmetric: one of each cell, the landmark if there is one, for all of it."""
+    """A sixth of its skin's vertices, as symmetric: one of each cell, the landmark if there is one, for all of it."""
     body = whole_body()
     skin = np.concatenate([body.landmark_vertices, np.setdiff1d(body.skin, body.landmark_vertices)])
     x, y, z = body.mesh.vertices[skin].T

@@ -127,7 +127,8 @@ def test_arrays_are_added_up_by_name() -> None:
     assert {name: array.tolist() for name, array in found.items()} == {"a": [5], "b": [2]}
 
 
-def test_an_accuracy_has_the_interval_of_its_poses() -> None:
+def test_an_accuracy_has_the_interval_of_its_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(intervals, "_DRAWS", 200)
     right, wrong = np.zeros((33, 33), np.int64), np.zeros((33, 33), np.int64)
     right[0, 0] = right[1, 1] = 10
     wrong[0, 0] = wrong[1, 2] = 10
