@@ -12,16 +12,22 @@ from benches.data.render import steps as render_steps
 from benches.data.render.alone import PLAIN, measure_renderers, true_range
 from benches.data.render.figure import _STAGES, draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
+from fakes import FiguresEntry
 from people_on_disk import write_by_vertex, write_mesh
 from pictures import decoded, marks
 from small_rig import SMALL
 
+from bodyseg_data.bodies import SOURCES
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.packing import Packing
 from bodyseg_data.rigs import PlacedCamera, axes_at
 from bodyseg_data.samples import ViewGrid
 
-pytestmark = pytest.mark.usefixtures("quick_geodesics")
+
+@pytest.fixture(autouse=True)
+def of_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+
 
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2), rig=SMALL)
 VIEWS = list(PACKING.views)
