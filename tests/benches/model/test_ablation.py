@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import result_cache
 from benches.model.ablation import bench as ablation
 from benches.model.ablation import costs as ablation_costs
 from benches.model.ablation.bench import bench_ablation
@@ -24,6 +25,7 @@ from benches.model.ablation.figure import draw_ablation
 from benches.model.ablation.rows import ROW_OF_BASE, ROWS, AblationRow, deviation_of, enough, verdict, worth
 from benches.model.ablation.runs import find_runs
 from pictures import decoded, marks, part
+from same_code import names_alone
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
@@ -58,6 +60,7 @@ def small() -> Iterator[None]:
         for name, value in (("ROUNDS", 1), ("SAMPLES", 2), ("FRAMES", 1), ("_NETWORK_S", 0.0)):
             patch.setattr(ablation_costs, name, value)
         patch.setattr(ablation, "rendering_costs", lambda rig: None)
+        patch.setattr(result_cache, "code_digest", names_alone)
         yield
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches import result_cache
 from benches.measuring import Figures
 from benches.model.ablation import costs
 from benches.model.variants import bench as variants_bench
@@ -24,6 +25,7 @@ from benches.model.variants.figure import _STYLES, draw_variants
 from benches.model.variants.scores import SWEEPS, Condition, Sweep
 from benches.model.variants.verdicts import REAL, paired, verdicts
 from pictures import decoded, marks, part
+from same_code import names_alone
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
@@ -62,11 +64,12 @@ def short(sweep: Sweep, *strengths: float) -> Sweep:
 
 @pytest.fixture(scope="module", autouse=True)
 def small() -> Iterator[None]:
-    """Two strengths a sweep, and no worker processes."""
+    """Two strengths a sweep, no worker processes, and code that stays as it is."""
     with pytest.MonkeyPatch.context() as patch:
         for name, kept in (("noise", (0, 40)), ("missing", (0, 0.5)), ("grain", (1, 16))):
             patch.setitem(SWEEPS, name, short(SWEEPS[name], *kept))
         patch.setattr(costs, "ROUNDS", 1)
+        patch.setattr(result_cache, "code_digest", names_alone)
         patch.setattr(variants_runs, "RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, num_workers=0))
         yield
 

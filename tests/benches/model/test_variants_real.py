@@ -13,6 +13,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("scipy")
 
+from benches import result_cache  # noqa: E402
 from benches.measuring import Figures  # noqa: E402
 from benches.model.variants import real  # noqa: E402
 from benches.model.variants.figure import _real_frames  # noqa: E402
@@ -20,6 +21,7 @@ from benches.model.variants.real import ARMS, LABELLED, POSED, RECORDINGS, ROOM,
 from label_networks import Places  # noqa: E402
 from PIL import Image  # noqa: E402
 from pngs import png  # noqa: E402
+from same_code import names_alone  # noqa: E402
 
 from bodyseg_data.core import BadConfig  # noqa: E402
 from bodyseg_data.labels import BACKGROUND, LANDMARKS  # noqa: E402
@@ -46,6 +48,13 @@ def person(shape: tuple[int, int], millimetres: int = 900) -> Any:
     image = np.zeros(shape, np.uint16)
     image[5:55, 10:60] = millimetres  # 8 cm wide
     return image
+
+
+@pytest.fixture(autouse=True)
+def same_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Code stays as it is: to find all modules takes seconds."""
+    for module in (result_cache, real):
+        monkeypatch.setattr(module, "code_digest", names_alone)
 
 
 @pytest.fixture(scope="module")
