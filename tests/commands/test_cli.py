@@ -393,7 +393,7 @@ def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals, monkeypa
 
 @pytest.mark.parametrize("words", ["verify {set}", "--help"])
 def test_a_reader_that_goes_away_is_said_by_the_status_alone(words: str, small_set: Path) -> None:
-    command = f"{sys.executable} -m bodyseg_data {words.format(set=small_set)}"
+    command = f"{sys.executable} -m bodyseg_model {words.format(set=small_set)}"
     script = f"{command} 2> >(grep -v verifying >&2) | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 141
@@ -401,7 +401,7 @@ def test_a_reader_that_goes_away_is_said_by_the_status_alone(words: str, small_s
 
 
 def test_output_that_cannot_be_written_is_one_line(small_set: Path) -> None:
-    script = f"{sys.executable} -m bodyseg_data verify {small_set} >/dev/full"
+    script = f"{sys.executable} -m bodyseg_model verify {small_set} >/dev/full"
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1] == "bodyseg verify: No space left on device"
@@ -419,7 +419,7 @@ def test_a_current_folder_that_was_deleted_is_one_line(
 
 
 def test_closed_streams_change_no_status(small_set: Path) -> None:
-    script = f"{sys.executable} -m bodyseg_data verify {small_set} >&- 2>&-"
+    script = f"{sys.executable} -m bodyseg_model verify {small_set} >&- 2>&-"
     assert subprocess.run(["bash", "-c", script], capture_output=True, timeout=60, check=False).returncode == 0
 
 

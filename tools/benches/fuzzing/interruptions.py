@@ -209,7 +209,7 @@ def _forked(work: Callable[[], None], message_file: Path | None = None) -> int:
 
 
 COMMAND: Final = (
-    *(sys.executable, "-m", "bodyseg_data", "shard", "--source", "open", "--meshes", "5", "--views", "4"),
+    *(sys.executable, "-m", "bodyseg_model", "shard", "--source", "open", "--meshes", "5", "--views", "4"),
     *("--shard-samples", "4", "--workers", "2", "--out"),
 )
 
