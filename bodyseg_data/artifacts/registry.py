@@ -49,8 +49,7 @@ def artifact_class(name: str) -> type[Artifact]:
 def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
     """Return a class if it keeps the protocol's rules. Raises BadConfig, naming `where`, for one that does not."""
     if not (isinstance(kind, type) and Artifact in kind.__mro__ and is_dataclass(kind)):
-        is_meta = isinstance(kind, type) and issubclass(kind, type)  # where a class stands in place of an instance
-        shown = "a class: call it" if is_meta else getattr(kind, "__name__", repr(kind))
+        shown = "a class: call it" if type in getattr(kind, "__mro__", ()) else getattr(kind, "__name__", repr(kind))
         raise BadConfig(f"{where}: an artifact must be a dataclass derived from Artifact, found {shown}")
     if not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         raise BadConfig(f"{where}: an artifact must be a frozen dataclass, found {kind.__name__}")

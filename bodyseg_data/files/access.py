@@ -132,12 +132,10 @@ def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
 
 
 def make_folder(path: Path) -> list[Path]:
-    """Make a folder and those above it; returns those that it made, inner ones first. Raises BadConfig, naming it, also
-    for an address, which as a path would be a folder "s3:" here.
-    """
+    """Make a folder and those above it; returns those that it made, inner ones first. Raises BadConfig, naming it."""
     with reported(f"cannot make the folder {path}", BadConfig, OSError):
         made = [each for each in (path, *path.parents) if not each.exists()]
-        if made and made[-1].name.endswith(":"):
+        if made and made[-1].name.endswith(":"):  # as a path, an address is a folder "s3:"
             raise BadConfig(f"a folder of this machine is needed, found the address {path}")
         path.mkdir(parents=True, exist_ok=True)
     return made
@@ -178,10 +176,8 @@ def claimed(folder: Path, work: str) -> Iterator[None]:
     try:
         yield
     finally:
-        try:
+        with os.fdopen(handle):
             path.unlink(missing_ok=True)
-        finally:
-            os.close(handle)
         with contextlib.suppress(OSError):  # it holds something
             for each in made:
                 each.rmdir()
@@ -235,9 +231,7 @@ def refuse_special(path: Path) -> None:
 
 
 def parse_json(data: bytes, where: str) -> dict[str, Any]:
-    """The object in JSON text; `where` names its origin in messages. Raises BadConfig, also for a key that one of its
-    objects holds twice, where the second value would take the place of the first.
-    """
+    """The object in JSON text; `where` names its origin in messages. Raises BadConfig, also for a key that is twice."""
     try:
         content = json.loads(data, object_pairs_hook=_without_doubles)
     except (ValueError, RecursionError) as error:
@@ -248,7 +242,7 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
 
 
 def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    tree = dict(pairs)
+    tree = dict(pairs)  # of two values of a key the last
     if len(tree) < len(pairs):
         twice, _ = Counter(key for key, _ in pairs).most_common(1)[0]
         raise ValueError(f"the key {twice!r} stands twice")

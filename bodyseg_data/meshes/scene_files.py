@@ -78,8 +78,7 @@ def mesh_content(path: Path) -> MeshContent:
 
 def _whole_stl(data: bytes, path: Path) -> bytes:
     """An STL file. Raises BadMesh for one that is cut, of which trimesh reads those solids that are whole."""
-    announced = 84 + 50 * int.from_bytes(data[80:84], "little")
-    if len(data) != announced and b"solid" not in data[5:][-1000:].lower():  # the text of STL ends in "endsolid NAME"
+    if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little") and b"solid" not in data[5:][-1000:].lower():
         raise BadMesh(f"{path}: the file is cut: neither as long as its header announces, nor text up to 'endsolid'")
     return data
 

@@ -86,12 +86,10 @@ class RenderSource(ABC):
         if content.classes is None and classes is None:
             raise BadConfig(f"{content.path}: 'classes' is missing, names in the order of their labels")
         self.classes: Classes = content.classes or classes  # type: ignore[assignment]
-        numbers: dict[Rig, int] = {}
-        self._rig_numbers: dict[str, int] = {}
-        for key in self._keys:
-            rig = self._named_rig(key) if rigs is None else rigs[key]
-            self._rig_numbers[key] = numbers.setdefault(rig, len(numbers))
+        each = {key: self._named_rig(key) if rigs is None else rigs[key] for key in self._keys}
+        numbers = {rig: number for number, rig in enumerate(dict.fromkeys(each.values()))}
         self.rigs = tuple(numbers)
+        self._rig_numbers = {key: numbers[rig] for key, rig in each.items()}
         self.planes: Mapping[str, str] = {}
         self.fields: Mapping[str, str] = rows.kinds()
 

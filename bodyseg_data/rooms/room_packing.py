@@ -183,9 +183,8 @@ def _person(words: Any, vertices: Any, faces: Any, labels: Any, distance: Any, s
 
 def draw_people(split: Split, block: int) -> list[RoomPerson]:
     """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m."""
-    rig = load_rig()
     # Not of `Draws`: rooms of the sets that are there have these people.
-    rng = np.random.default_rng((7, block, split == "train"))
+    rng, rig = np.random.default_rng((7, block, split == "train")), load_rig()
     found: list[RoomPerson] = []
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
