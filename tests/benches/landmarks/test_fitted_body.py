@@ -15,7 +15,7 @@ from benches.landmarks.body_fit import (  # noqa: E402
 )
 from benches.landmarks.fitting_body import FittingBody, SurfacePoints  # noqa: E402
 from benches.landmarks.proposal import POOR_M, FittedBody, gap_m  # noqa: E402
-from benches.model.people.landmarks import carried, upright  # noqa: E402
+from benches.model.people.landmarks import carried  # noqa: E402
 from fitting_bodies import whole_body  # noqa: E402
 
 from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
@@ -48,20 +48,6 @@ def test_landmarks_and_points_of_a_body_that_fits_exactly(body: FittingBody, pos
     there = carried(known, known.mesh.vertices[body.landmark_vertices])
     away = np.linalg.norm(there - body.mesh.vertices[body.landmark_vertices], axis=1)
     assert (away < 1e-9).sum() >= 28 and away.max() < 0.03
-
-
-def test_offsets_are_turned_back_with_the_limb(body: FittingBody) -> None:
-    """In a T-pose the arm is turned: a step from the elbow to the wrist points the same way on the body at rest."""
-    known, rest = fitted(body, "t_pose", 1.0), body.mesh.vertices
-    bones = [body.bones[name] for name in ("lowerarm02.L", "wrist.L")]
-    weights = body.whole.weights[:, bones[0]].numpy()
-    vertex = int(weights.argmax())
-    other = int(np.where(weights > 0.99 * weights.max(), np.linalg.norm(rest - rest[vertex], axis=1), 0).argmax())
-    offset = known.mesh.vertices[other] - known.mesh.vertices[vertex]
-    turned = upright(known, offset[None], np.array([vertex]))[0]
-    np.testing.assert_allclose(turned, rest[other] - rest[vertex], atol=0.003)
-    assert np.linalg.norm(offset - turned) > 0.5 * np.linalg.norm(offset)  # which without the turn points elsewhere
-    assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(offset))
 
 
 def test_lengths_move_what_hangs_from_a_segment_and_nothing_else(body: FittingBody) -> None:

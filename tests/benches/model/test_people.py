@@ -163,7 +163,8 @@ def test_what_the_bench_finds_on_bodies_with_known_landmarks(
     found = figures["landmarks"]
     shipped, placed_by_all, placed_by_other = (found[name] for name in ("shipped", "all_people", "other_people"))
     errors = 1000 * np.linalg.norm(body.mesh.vertices[true] - body.mesh.vertices[body.landmark_vertices], axis=1)
-    assert shipped["mean_mm"] == pytest.approx(1.05 * errors.mean(), rel=0.2)
+    # Less what so coarse a surface costs each way.
+    assert shipped["mean_mm"] - placed_by_all["mean_mm"] == pytest.approx(1.05 * errors.mean(), rel=0.2)
     for better in (placed_by_all, placed_by_other):
         assert better["mean_mm"] < 0.5 * shipped["mean_mm"]
         assert better["wrong_surface"] < 0.5 * shipped["wrong_surface"]
