@@ -39,13 +39,16 @@ BLOCK: Final = re.compile(r"^```(bash|python)\n(.*?)^```", re.DOTALL | re.MULTIL
 
 
 @pytest.fixture(scope="module")
-def program() -> ModuleType:
+def program() -> Iterator[ModuleType]:
     skip_without_opengl()
+    from bodyseg_data.rendering import opengl
+
     spec = spec_from_file_location("robot_cell", DOCS / "examples" / "robot_cell.py")
     assert spec is not None and spec.loader is not None
     found = module_from_spec(spec)
     spec.loader.exec_module(found)
-    return found
+    yield found
+    opengl._context = None  # pyrender's renderers, as they go, close EGL's display for all of the process
 
 
 def steps_of(document: Path) -> Iterator[tuple[str, list[str] | str]]:
