@@ -9,6 +9,7 @@ if TYPE_CHECKING:
         FARTHEST_STEPS,
         FIELD_KINDS,
         HELD,
+        MOST_FIELDS,
         READ_SPLITS,
         SHADOW_THRESHOLDS,
         SPLITS,

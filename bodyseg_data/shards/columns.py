@@ -19,7 +19,7 @@ import numpy as np
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
 from bodyseg_data.files import claimed, write_atomically
-from bodyseg_data.samples import SampleInfo, as_array, check_field_name, check_key, kind_of, plain_value
+from bodyseg_data.samples import MOST_FIELDS, SampleInfo, as_array, check_field_name, check_key, kind_of, plain_value
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.manifest import (
     LARGEST_MANIFEST,
@@ -209,7 +209,8 @@ class ColumnWriter:
         if kind_of(value, self._name) != self._kind:
             raise BadSample(f"field {self._name!r} must be of the kind {self._kind}, found {value!r}")
         own = {self._name: value}
-        shard.descriptions.info(index, shard.split).with_fields(**own)  # refuses one field too many
+        if len(self._set.fields.kinds) >= MOST_FIELDS:  # else none has too many: to look them up takes milliseconds
+            shard.descriptions.info(index, shard.split).with_fields(**own)
         return {"json": json.dumps(SampleInfo(shard.split, own).to_json(), sort_keys=True).encode()}
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -379,3 +379,17 @@ def test_columns_belong_to_sets_with_an_index_too(copy: Path, monkeypatch: pytes
     assert [again.describe(index)["age"] for index in range(3)] == [25, 26, 27]
     assert again.clean(1).planes["instances"][0, 0] == instances(images.keys[1], (1, 1))[0, 0]
     assert main(["verify", str(copy)]) == 0
+
+
+def test_samples_in_any_order_read_an_index_no_more_often_than_in_its_own(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(manifests, "INDEXED_FROM", 1)
+    write_manifest(read_manifest(copy), copy)
+    keys = [shard.keys for shard in read_manifest(copy).shards]
+    with ColumnWriter(copy, "age", "int") as column:
+        for one_of_each in zip(*keys, strict=True):
+            for key in one_of_each:
+                column.write(key, 3)
+        shards: Any = column._set.shards
+        assert shards.whole.cache_info().misses == 2 * len(keys), "to begin, and where all of a shard is there"
