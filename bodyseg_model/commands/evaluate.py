@@ -11,7 +11,7 @@ from typing import Any, Final
 from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model, parse_artifacts
 from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, check_target, command_line, option, provenance
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.drawing import new_chart, save_picture
 from bodyseg_data.files import last_name, make_folder, read_json, write_json
 from bodyseg_data.labels import LabelMap
@@ -117,8 +117,10 @@ def _check(options: Options) -> None:
         raise BadConfig(f"--json needs another name than the folder --figures, found {options.json}")
     if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
         raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
-    if options.json.is_file() and options.json.stat().st_size and read_json(options.json).get("format") != _FORMAT:
-        raise BadConfig(f"--json may replace earlier scores alone, found another file, {options.json}")
+    if options.json.is_file() and options.json.stat().st_size:
+        with reported("--json may replace earlier scores alone", BadConfig):
+            if read_json(options.json).get("format") != _FORMAT:
+                raise BadConfig(f"found another file, {options.json}")
     training.use_threads(options.threads)
 
 

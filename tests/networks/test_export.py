@@ -79,6 +79,8 @@ def test_scores_and_the_card_do_not_replace_each_other(
     assert main(["evaluate", "--run", str(run), "--data", "absent", "--json", str(run / "network.json")]) == 2
     assert "--json must not replace the card of a network, found " in capsys.readouterr().err
     assert (run / "network.json").read_bytes() == card
-    assert main(["evaluate", "--run", str(run), "--data", "absent", "--json", str(scores)]) == 2  # as a manifest.json
-    assert f"--json may replace earlier scores alone, found another file, {scores}" in capsys.readouterr().err
-    assert scores.read_text() == text
+    for other, found in ((text, f"found another file, {scores}"), ("# notes", f"{scores} is not JSON: ")):
+        scores.write_text(other)  # as a manifest.json
+        assert main(["evaluate", "--run", str(run), "--data", "absent", "--json", str(scores)]) == 2
+        assert f"--json may replace earlier scores alone: {found}" in capsys.readouterr().err
+        assert scores.read_text() == other
