@@ -4,6 +4,7 @@ The parts of a glTF file are placed by their nodes, joined, and named by nodes a
 """
 
 import json
+import re
 from base64 import b64decode
 from importlib.util import find_spec
 from io import BytesIO
@@ -78,7 +79,10 @@ def mesh_content(path: Path) -> MeshContent:
 
 def _whole_stl(data: bytes, path: Path) -> bytes:
     """An STL file. Raises BadMesh for one that is cut, of which trimesh reads those solids that are whole."""
-    if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little") and b"solid" not in data[5:][-1000:].lower():
+    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        return data
+    _, ended, rest = data.lower().rpartition(b"endsolid")  # with which the text of every solid ends
+    if not ended or re.search(rb"[\r\n]\s*(solid|facet)", rest):
         raise BadMesh(f"{path}: the file is cut: neither as long as its header announces, nor text up to 'endsolid'")
     return data
 

@@ -20,6 +20,7 @@ from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.bodies.given_labels import labels_of_colours, labels_of_numbers, labels_of_parts
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.files import access
 from bodyseg_data.labels import classes_of
 from bodyseg_data.meshes import MeshContent, cuboid, mesh_content
 from bodyseg_data.shards import read_manifest
@@ -449,24 +450,29 @@ def test_a_file_that_is_cut_is_told(tmp_path: Path) -> None:
     two = f"{text}\n{text}".encode()  # of which the first solid is whole
     for name, data, problem in (
         ("a.stl", two[:-200], "a.stl: the file is cut: neither as long as its header announces, nor text up to"),
+        ("a.stl", two[: len(text) + 100], "a.stl: the file is cut"),  # soon after the second solid begins
         ("a.stl", binary[:-1], "a.stl: the file is cut: neither as long as its header announces, nor text up to"),
         ("a.glb", gltf[:-1], f"a.glb: the header announces {len(gltf)} bytes, the file ends after {len(gltf) - 1}"),
     ):
         write(tmp_path / name, data)
         with pytest.raises(BadMesh, match=problem):
             mesh_content(tmp_path / name)
-    for data in (two, binary):
+    for data in (two, two + b"\n" + 99 * b"; a long comment\n", binary):
         write(tmp_path / "a.stl", data)
         assert len(mesh_content(tmp_path / "a.stl").faces) in (12, 24)
 
 
-def test_faults_are_one_line(tmp_path: Path) -> None:
+def test_faults_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "a.obj", BOX_OBJ)
     assert "the file holds none: put a .labels.json" in reason(tmp_path)
     write(tmp_path / "a.json", {"front": [*FRONT, 8]})
     assert "a.json: the part 'front' must hold vertices 0 to 7, found 8" in reason(tmp_path)
     write(tmp_path / "a.json", {"front": [3, -1]})
     assert "the part 'front' must hold vertices 0 to 7, found -1" in reason(tmp_path)
+    with monkeypatch.context() as patch:  # lists of the vertices of a large mesh
+        patch.setattr(access, "_LARGEST_JSON", 8)
+        write(tmp_path / "a.json", {"front": [8]})
+        assert "must hold vertices 0 to 7, found 8" in reason(tmp_path)
     (tmp_path / "a.json").write_text('{"front": [0], "front": [1]}')
     assert "a.json is not JSON: the key 'front' stands twice" in reason(tmp_path)
     write(tmp_path / "a.json", {"front": [0.5]})
