@@ -133,19 +133,17 @@ class Interrupted:
 
         In one fork, which ends with the hooks of trouble that ends nothing: a fork of a large process takes its time.
         """
-        reader, writer = os.pipe()
+        said, found = self._folder / "said", self._folder / "found"  # no pipe, which holds few faults
 
         def report() -> None:
-            for n in operations:
-                for fault in self.at(trouble, n):
-                    os.write(writer, f"{fault!r}\n".encode())
+            with found.open("a") as file:
+                for n in operations:
+                    file.writelines(f"{fault!r}\n" for fault in self.at(trouble, n))
 
-        said = self._folder / "said"
         said.write_text("")
+        found.write_text("")
         status = _forked(report, said)
-        os.close(writer)
-        with os.fdopen(reader) as file:
-            wrong = file.read().splitlines()
+        wrong = found.read_text().splitlines()
         return [*wrong, *([] if status == 0 else [f"it ended with status {status}: {said.read_text()[-300:]!r}"])]
 
     def _troubled(self, trouble: Trouble, operation: int, out: Path) -> None:
