@@ -115,8 +115,6 @@ def _check(options: Options) -> None:
     check_target(options.json, "--json", new_folder=options.json.parent == options.figures)
     if options.json == options.figures:
         raise BadConfig(f"--json needs another name than the folder --figures, found {options.json}")
-    if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
-        raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
     if options.json.is_file() and options.json.stat().st_size:
         with reported("--json may replace earlier scores alone", BadConfig):
             if read_json(options.json).get("format") != _FORMAT:
