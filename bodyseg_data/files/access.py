@@ -124,9 +124,7 @@ def _remove(path: Path) -> None:
 
 
 def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
-    """Write a file that a user requested, as `write_atomically`. Raises BadConfig, naming it, if it cannot be
-    written.
-    """
+    """Write a file that a user requested, as `write_atomically`. Raises BadConfig, naming it."""
     with reported(f"cannot write {path}", BadConfig, OSError):
         write_atomically(path, data, flushed)
 
@@ -135,7 +133,7 @@ def make_folder(path: Path) -> list[Path]:
     """Make a folder and those above it; returns those that it made, inner ones first. Raises BadConfig, naming it."""
     with reported(f"cannot make the folder {path}", BadConfig, OSError):
         made = [each for each in (path, *path.parents) if not each.exists()]
-        if made and made[-1].name.endswith(":"):  # as a path, an address is a folder "s3:"
+        if made and made[-1].name.endswith(":") and not path.is_absolute():  # as a path, an address is a folder "s3:"
             raise BadConfig(f"a folder of this machine is needed, found the address {path}")
         path.mkdir(parents=True, exist_ok=True)
     return made

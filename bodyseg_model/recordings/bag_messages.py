@@ -72,9 +72,7 @@ _LONGEST_LIST: Final = 12
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """Messages of one topic. kind: their type as ROS 2 names it. times_ns: int64 [N], when
-    each was recorded, ascending.
-    """
+    """Messages of one topic. kind: their ROS 2 type. times_ns: int64 [N], when each was recorded, ascending."""
 
     name: str
     kind: str

@@ -109,9 +109,7 @@ class Frame:
 
     @property
     def path_id(self) -> str:
-        """Short hash of the frame's location on this machine, 16 hexadecimal digits: the same from any working
-        directory.
-        """
+        """Short hash of the frame's location on this machine, 16 hexadecimal digits: the same from any folder."""
         location = "\0".join([str(self.path.resolve()), *map(str, self.within)])
         return hashlib.sha256(location.encode("utf-8", "surrogatepass")).hexdigest()[:16]
 

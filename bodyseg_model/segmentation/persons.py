@@ -129,5 +129,4 @@ class SurfacePixels:
         winners = order[has[np.searchsorted(has, first)]]
         at = [start + squares[start:stop].argmin() for start, stop in zip(begin[winners], end[winners], strict=True)]
         parts["nearest_m"], parts["distance_m"] = np.stack([along[at] for along in points], axis=1), np.sqrt(nearest)
-        labelled: Records = parts.compress(parts["part"] != BACKGROUND)  # a mask leaves bytes between fields unset
-        return labelled
+        return parts.compress(parts["part"] != BACKGROUND)  # a mask leaves bytes between fields unset

@@ -108,6 +108,7 @@ def test_an_address_is_no_folder_to_be_made(tmp_path: Path, monkeypatch: pytest.
     assert not list(tmp_path.iterdir())
     (tmp_path / "s3:").mkdir()
     make_folder(Path("s3:/bucket"))  # in a folder that is truly called so
+    make_folder(tmp_path / "12:")
 
 
 def test_what_a_killed_process_leaves_holds_nobody_up(tmp_path: Path) -> None:
