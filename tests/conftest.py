@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import multiprocessing
 import os
@@ -18,7 +17,6 @@ import hypothesis
 import pytest
 import shared_anny  # noqa: F401  # before anything imports what loads the body model
 import shared_distances  # noqa: F401
-from _pytest.python import importtestmodule
 from fakes import FiguresEntry
 from folders import SHARED_DATA, TESTS
 from kernel_forms import FORMS, computed_by
@@ -140,19 +138,6 @@ def pytest_collection() -> Generator[None, Any, Any]:
     finally:
         gc.freeze()
         gc.enable()
-
-
-@pytest.hookimpl(specname="pytest_collection")
-def pytest_imports_in_turns(session: pytest.Session) -> None:
-    """In a run of all tests by several processes, each begins to import them at another place: what pytest makes of a
-    file in a fresh checkout, two fifths of the time of collecting, one process then makes and the others find.
-    """
-    place, count = (os.environ.get(f"PYTEST_XDIST_WORKER{name}", "") for name in ("", "_COUNT"))
-    if place and session.config.args == session.config.getini("testpaths"):
-        files, part = sorted(TESTS.rglob("test_*.py")), int(place.removeprefix("gw"))
-        for path in files[len(files) * part // int(count) :] if part else ():
-            with contextlib.suppress(Exception, pytest.skip.Exception):  # which collecting reports
-                importtestmodule(path, session.config)
 
 
 @pytest.fixture(params=FORMS)

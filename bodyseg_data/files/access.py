@@ -174,8 +174,10 @@ def claimed(folder: Path, work: str) -> Iterator[None]:
     try:
         yield
     finally:
-        with os.fdopen(handle):
+        try:
             path.unlink(missing_ok=True)
+        finally:
+            os.close(handle)
         with contextlib.suppress(OSError):  # it holds something
             for each in made:
                 each.rmdir()
