@@ -138,7 +138,7 @@ def run(options: Options) -> int:
     clean = dict.fromkeys(each.augmentation.sensor.name for each in sets if not each.augmentation.applied)
     for name in clean if first_process and options.variant != "none" else ():
         sys.stderr.write(f"sensor {name} has no artifact of variant {options.variant}: images stay clean\n")
-    if options.resume and first_process and networks.read_checkpoint(options.out) is None:
+    if options.resume and first_process and not (options.out / networks.RunFiles.CHECKPOINT).exists():
         sys.stderr.write(f"{options.out} has no checkpoint to resume: the training begins at its first step\n")
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every)) if first_process else None

@@ -22,7 +22,7 @@ from bodyseg_data.core import BadConfig, check_choice, check_class, reported
 from bodyseg_data.files import parts_left, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
-from bodyseg_model.networks.names import CHECKPOINT, CardWords, CheckpointName, RunFiles
+from bodyseg_model.networks.names import CardWords, CheckpointName, RunFiles
 from bodyseg_model.networks.network import Network, WrappedModule, check_label_map
 from bodyseg_model.networks.registry import build
 
@@ -103,7 +103,7 @@ class Checkpoint:
         """Write this to a run's folder, and delete the one before when this one is complete. Raises BadConfig."""
         digest = write_tensors(folder / self.file, self.tensors)
         note = {"step": self.step, "loader_state": self.loader_state, "tensors": self.file, "sha256": digest}
-        write_json(folder / CHECKPOINT, note)
+        write_json(folder / RunFiles.CHECKPOINT, note)
         for old in (*folder.glob(f"checkpoint-{'[0-9]' * 8}.safetensors"), *parts_left(folder)):
             if old.name != self.file:
                 with contextlib.suppress(OSError):
@@ -272,7 +272,7 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
 
     Raises BadConfig if it is damaged.
     """
-    file = folder / CHECKPOINT
+    file = folder / RunFiles.CHECKPOINT
     if not file.exists():
         return None
     note = read_json(file)

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from bodyseg_data.files import read_json
 
-CHECKPOINT: Final = "checkpoint.json"  # step, loader state and tensors' name of a run's last checkpoint
-
 CheckpointName = Literal["best", "last"]
 
 NETWORKS: Final[dict[str, str]] = {
@@ -32,15 +30,17 @@ class RunFiles:
 
     PLAN: Final = "run.json"
 
+    CHECKPOINT: Final = "checkpoint.json"  # step, loader state and tensors' name of the last checkpoint
+
     @staticmethod
     def unfinished(folder: Path) -> bool:
         """True if a run's folder has a checkpoint, and no network of that step or a later one."""
-        if not (folder / CHECKPOINT).exists():
+        if not (folder / RunFiles.CHECKPOINT).exists():
             return False
         card = (folder / RunFiles.NETWORK).with_suffix(".json")
         if not card.exists():
             return True
-        reached, step = read_json(card).get("last_step"), read_json(folder / CHECKPOINT).get("step")
+        reached, step = read_json(card).get("last_step"), read_json(folder / RunFiles.CHECKPOINT).get("step")
         return isinstance(reached, int) and isinstance(step, int) and reached < step
 
 
