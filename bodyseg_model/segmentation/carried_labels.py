@@ -293,7 +293,7 @@ class CarriedLabels:
         return rigid.astype(np.float32), field, gain
 
     def _rigid(self, own: Cells, earlier: Cells, lens: CellLens, gate: float) -> Rigid:
-        """Rigid motion of a body back to the frame before: the better of those sought from none and its middle's."""
+        """Rigid motion of a body back to the frame before: the better fit, from no motion or its middle's shift."""
         every = max(1, len(own.points) // _RIGID_CELLS)
         some, labels = np.ascontiguousarray(own.points[::every]), np.ascontiguousarray(own.labels[::every])
         shift = np.eye(3, 4)
