@@ -23,6 +23,7 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "sensor", "weights_sha256")  # identify it
 _NEAR: Final = 0.7  # share of the stand-off below which there is a warning (docs/results/segment.md)
 _SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
+_AT_ONCE: Final = 4  # most frames at a time: Python itself takes a fourth of a frame's time, and runs in one at a time
 _SHADOW_FRAMES: Final = 8  # number of frames whose shadows tell whether a recording is mirrored
 
 
@@ -73,8 +74,7 @@ class Options:
         0,
     )
     fps: float = option("frames a second of preview.gif, and of --labels-out where frames have no times", 10.0)
-    ahead: bool = option("find the people of the next frame while this one is labelled", False, heading="Machine")
-    threads: int | None = option(runtimes.THREADS_HELP, None)
+    threads: int | None = option(runtimes.THREADS_HELP, None, heading="Machine")
     device: str | None = option(runtimes.DEVICE_HELP, None)
 
 
@@ -88,7 +88,9 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
     step_m = None if options.units is None else recordings.metres_a_step(options.units)
     frames = recordings.find_frames(options.frames, options.topic, step_m, options.skip_unreadable)
-    training.use_threads(options.threads)
+    threads = training.use_threads(options.threads)
+    at_once = min(threads, _AT_ONCE, len(frames))
+    training.use_threads(threads // at_once)
     trained = runtimes.load_network(options.run, dense=options.dense)
     mode = options.background or segmentation.Background.usual(trained.label_map).mode
     background = segmentation.Background.of_options(mode, options.near, options.far)
@@ -137,9 +139,9 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         results.begin()
         recording.prepare()
         start = time.perf_counter()
-        # One thread writes results. If another reads ahead, it alone reads recordings.
+        # One thread writes results, and one alone reads recordings.
         with (
-            contextlib.closing(recording.labelled(options.ahead, stamps=messages is not None)) as coming,
+            contextlib.closing(recording.labelled(at_once, stamps=messages is not None)) as coming,
             Progress("segmenting", "frames") as progress,
             results,
         ):

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast, get_args
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Stopwatch, check_choice, check_class, reported
+from bodyseg_data.core import BadConfig, Stopwatch, check_choice, check_class, check_int, reported
 from bodyseg_data.labels import LabelMap, load_label_map
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import CardWords, Trained, device_of, load_network
@@ -62,7 +64,10 @@ class LabelledFrame(Segmentation):
 
 
 Labelling = Callable[[], LabelledFrame]
-"""Labels a frame whose bodies are found: all is done that may be while the frame before it is labelled."""
+"""Labels a frame whose bodies are found: of a video, all is done that may be while the frame before it is labelled."""
+
+Finding = Callable[[], Labelling | None]
+"""Finds the bodies of a frame that has been read; None for one that is skipped."""
 
 
 @dataclass
@@ -209,7 +214,7 @@ class FrameLabeller:
         another size than the camera's, of whole numbers or in millimetres, or, without a finder of people, with a body
         too large for a view.
         """
-        return self._find_in_array(0, range_m, camera)()
+        return self._array(0, range_m, camera)()()
 
     def prepare(self, camera: Camera) -> None:
         """Load the compiled loops and label usual views of a camera, so that its first frame takes no longer than
@@ -224,27 +229,27 @@ class FrameLabeller:
             self.video.restart(numbers=numbers)
 
     def stream(
-        self, frames: Iterable[NDArray[np.float32] | Frame], camera: Camera, ahead: bool = False
+        self, frames: Iterable[NDArray[np.float32] | Frame], camera: Camera, at_once: int = 1
     ) -> Generator[LabelledFrame, None, None]:
         """Label frames as they come, as from a live sensor: yields the answer to each before it asks for the next.
 
         frames: float32 [H, W], metres, 0 = nothing measured; or those of a `LiveRecording`, whose times are then in
         `answer.frame.time_s`. They may never end. camera: the one that takes them, with or without lens distortion; its
         `prepare` comes first.
-        ahead: a thread asks for the next frame and finds its people while this one is labelled; the same answers in the
-        same order, and more of them a second where a processor is free. Each frame must then be an array of its own,
-        into which no driver writes again. Raises BadConfig as a call, naming the frame by its number.
+        at_once: frames that are labelled at the same time, each in a thread, which has as many of PyTorch's threads as
+        the caller; with `video`, people are found in later frames while one is labelled. The same answers in the same
+        order, more of them a second, each a little later. Each frame must then be an array of its own, into which no
+        driver writes again. Raises BadConfig as a call, naming the frame by its number.
         """
         self.restart()
         self.prepare(camera)
-        found = (self._find_in_array(number, each, camera, f"frame {number}") for number, each in enumerate(frames))
-        with contextlib.closing(read_ahead(found) if ahead else found) as coming:
-            for label in coming:
-                yield label()
+        read = (self._array(number, each, camera, f"frame {number}") for number, each in enumerate(frames))
+        with contextlib.closing(_labellings(read, at_once, self.video is not None)) as coming:
+            yield from (label() for label in coming if label is not None)
 
-    def _find_in_array(
+    def _array(
         self, number: int, given: NDArray[np.float32] | Frame, camera: Any, where: str = ""
-    ) -> Labelling:
+    ) -> Callable[[], Labelling]:
         watch, frame = Stopwatch((_READ,)), given if isinstance(given, Frame) else None
         with reported(where, BadConfig):
             with watch(_READ):
@@ -256,9 +261,8 @@ class FrameLabeller:
                 self.judge(turns, ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
             turns.frames += 1
-            found = segmenter.find(ideal)
         read_ms = watch.milliseconds[_READ]
-        return partial(_label_found, where, segmenter, self.label_map, found, read_ms, number=number, frame=frame)
+        return partial(_find, where, segmenter, self.label_map, ideal, read_ms, number=number, frame=frame)
 
     def recording(
         self,
@@ -366,14 +370,14 @@ class LabelledRecording:
         """Load the compiled loops and label usual views, so that the first frame takes no longer than others."""
         self.labeller.of(self.cameras.first.camera, self._turns)[1].prepare()
 
-    def labelled(self, ahead: bool = False, stamps: bool = False) -> Generator[LabelledFrame, None, None]:
+    def labelled(self, at_once: int = 1, stamps: bool = False) -> Generator[LabelledFrame, None, None]:
         """Label the frames in order, without those that are skipped, as the numbers of the answers tell.
 
-        ahead: as of `FrameLabeller.stream`; recordings are then read in that thread alone. stamps: read the headers of
-        frames' messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
+        at_once: as of `FrameLabeller.stream`; another thread then reads recordings. stamps: read the headers of frames'
+        messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
         """
-        found = (self._find(number, self._skipping.read, stamps=stamps) for number in range(len(self)))
-        with contextlib.closing(read_ahead(found) if ahead else found) as coming:
+        read = (self._read(number, self._skipping.read, stamps=stamps) for number in range(len(self)))
+        with contextlib.closing(_labellings(read, at_once, self.labeller.video is not None)) as coming:
             for number, label in enumerate(coming):
                 if number == 0 or self.frames[number].sequence != self.frames[number - 1].sequence:
                     self.labeller.restart(numbers=number == 0)  # no person gets the number of one in another input
@@ -387,9 +391,9 @@ class LabelledRecording:
         A camera's first frame is labelled after its segmenter is prepared, so that its times are as others'.
         """
         number = range(len(self))[number]
-        label = cast(Labelling, self._find(number, Frame.read, prepare=True))  # `Frame.read` skips none
+        find = self._read(number, Frame.read, prepare=True)
         self.labeller.restart()
-        return label()
+        return cast(Labelling, find())()  # `Frame.read` skips none
 
     def undistorted(self, frame: Frame, pixels: Pixels) -> tuple[Pixels, Segmenter, FrameCamera]:
         """A frame's pixels without distortion, the segmenter for them, and the camera. Raises BadConfig, naming it."""
@@ -398,27 +402,25 @@ class LabelledRecording:
             lens, segmenter = self.labeller.of(camera.camera, self._turns)
             return pixels if lens is None else lens(pixels), segmenter, camera
 
-    def _find(
+    def _read(
         self, number: int, read: Callable[[Frame], Pixels | None], prepare: bool = False, stamps: bool = False
-    ) -> Labelling | None:
-        """Read a frame and find its people; None for one that cannot be read and is skipped."""
+    ) -> Finding:
+        """Read a frame, or find nothing in one that cannot be read and is skipped."""
         watch, frame = Stopwatch((_READ,)), self.frames[number]
         with watch(_READ):
             pixels = read(frame)
             if pixels is None:
-                return None
+                return lambda: None
             pixels, segmenter, camera = self.undistorted(frame, pixels)
             range_m = to_metres(pixels, frame.step_m)
         if prepare:
             segmenter.prepare()
-        with reported(frame.where, BadConfig):
-            found = segmenter.find(range_m)
         return partial(
-            _label_found,
+            _find,
             frame.where,
             segmenter,
             self.labeller.label_map,
-            found,
+            range_m,
             watch.milliseconds[_READ],
             number=number,
             frame=frame,
@@ -442,10 +444,19 @@ class LabelledRecording:
         }
 
 
+def _find(
+    where: str, segmenter: Segmenter, label_map: LabelMap, range_m: NDArray[np.float32], read_ms: float, **of_frame: Any
+) -> Labelling:
+    """Find the bodies of a frame. of_frame: other fields of the answer. Raises BadConfig, naming the frame."""
+    with reported(where, BadConfig):
+        found = segmenter.find(range_m)
+    return partial(_label_found, where, segmenter, label_map, found, read_ms, **of_frame)
+
+
 def _label_found(
     where: str, segmenter: Segmenter, label_map: LabelMap, found: FoundBodies, read_ms: float, **of_frame: Any
 ) -> LabelledFrame:
-    """Label the bodies of a frame. of_frame: other fields of the answer. Raises BadConfig, naming it."""
+    """Label the bodies of a frame. of_frame: as of `_find`. Raises BadConfig, naming it."""
     with reported(where, BadConfig):
         answer = segmenter.label(found)
     if segmenter.label_map is not label_map:
@@ -454,15 +465,37 @@ def _label_found(
     return LabelledFrame(**fields)
 
 
-def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
-    """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
+def _labellings(read: Iterable[Finding], at_once: int, video: bool) -> Generator[Labelling | None, None, None]:
+    """For each frame that has been read, in order, what labels it; frames of a video must be labelled in order, too."""
+    if check_int("at_once", at_once, 1) == 1:
+        return (find() for find in read)
+    return side_by_side(read if video else (partial(_label_beside, find) for find in read), at_once - video)
 
-    An error of an item is raised in its place, after all items before it have been yielded. Whoever leaves early waits
-    for the item that is being made.
+
+def _label_beside(find: Finding) -> Labelling | None:
+    if (label := find()) is None:
+        return None
+    answer = label()
+    return lambda: answer
+
+
+def side_by_side(jobs: Iterable[Callable[[], Item]], threads: int) -> Generator[Item, None, None]:
+    """Yield what jobs give, in their order; so many at a time are done, each in a thread, and one thread asks for jobs.
+
+    An error of a job is raised in its place, after the answers of all before it. Whoever leaves early waits for the
+    jobs that are being done.
     """
-    remaining = iter(items)
-    with ThreadPoolExecutor(1, "reading") as thread:
-        coming = thread.submit(next, remaining, _END)
-        while (item := coming.result()) is not _END:
-            coming = thread.submit(next, remaining, _END)
-            yield item  # type: ignore[misc]  # all but _END
+    remaining, own = iter(jobs), (torch.get_num_threads(),)
+    with (
+        ThreadPoolExecutor(1, "reading") as reading,
+        ThreadPoolExecutor(threads, "labelling", torch.set_num_threads, own) as pool,
+    ):
+
+        def begun() -> Future[Any]:
+            coming: Future[Any] = reading.submit(next, remaining, _END)
+            return pool.submit(lambda: _END if (job := coming.result()) is _END else job())
+
+        waiting = deque(begun() for _ in range(threads))
+        while (item := waiting.popleft().result()) is not _END:
+            waiting.append(begun())
+            yield item

@@ -150,21 +150,35 @@ def test_sixteen_cameras_may_take_turns(monkeypatch: pytest.MonkeyPatch) -> None
     assert lenses == cameras
 
 
-@pytest.mark.parametrize("ahead", [False, True])
-def test_a_stream_answers_each_frame_with_its_number(ahead: bool) -> None:
+@pytest.mark.parametrize("video", [False, True])
+@pytest.mark.parametrize("at_once", [1, 2, 3])
+def test_a_stream_answers_each_frame_with_its_number(
+    at_once: int, video: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     taken: list[str] = []
+    labelled: list[str] = []
 
     def live() -> Iterator[NDArray[np.float32]]:
-        for column in (20, 24, 28):
+        for column in (20, 24, 28, 32):
             taken.append(threading.current_thread().name)
             yield standing(column)
 
-    label = labeller()
-    for number, found in enumerate(label.stream(live(), CAMERA, ahead)):
+    def noted(segmenter: Segmenter, found: Any, label: Any = Segmenter.label) -> Any:
+        labelled.append(threading.current_thread().name.partition("_")[0])
+        return label(segmenter, found)
+
+    monkeypatch.setattr(Segmenter, "label", noted)
+    label = labeller(video=video)
+    alone = [label(standing(column), CAMERA).labels for column in (20, 24, 28, 32)]
+    labelled.clear()
+    for number, found in enumerate(label.stream(live(), CAMERA, at_once)):
         assert found.number == number
-        np.testing.assert_array_equal(found.labels, label(standing(20 + 4 * number), CAMERA).labels)
-        assert ahead or len(taken) == number + 1, "an answer before the next frame is asked for"
-    assert all((name == "MainThread") != ahead for name in taken)
+        np.testing.assert_array_equal(found.labels, alone[number])
+        assert at_once > 1 or len(taken) == number + 1, "an answer before the next frame is asked for"
+    assert all((name == "MainThread") == (at_once == 1) for name in taken)
+    assert set(labelled) == {"MainThread" if video or at_once == 1 else "labelling"}, "a video's in order"
+    with pytest.raises(BadConfig, match="^at_once must be a whole number of at least 1, found 0$"):
+        next(label.stream(live(), CAMERA, 0))
 
 
 @pytest.mark.parametrize("camera", [CAMERA, BENT])
@@ -360,10 +374,10 @@ def test_a_video_begins_anew_with_each_recording_and_stream(tmp_path: Path, monk
 
 def test_leaving_early_leaves_no_thread(tmp_path: Path) -> None:
     opened = labeller().recording(recording(tmp_path / "frames", *range(20, 40, 2)), focal_px=100.0)
-    frames = opened.labelled(ahead=True)
+    frames = opened.labelled(at_once=2)
     next(frames)
     frames.close()
-    assert not any(thread.name.startswith("reading") for thread in threading.enumerate())
+    assert not any(thread.name.startswith(("reading", "labelling")) for thread in threading.enumerate())
 
 
 def test_headers_are_read_where_they_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -486,9 +486,9 @@ def test_an_interruption_leaves_the_frames_before_it_and_a_repetition_replaces_t
     assert report(out)["frames"] == len(list((out / "labels").iterdir())) == 5
 
 
-@pytest.mark.parametrize("ahead", [(), ("--ahead",)])
+@pytest.mark.parametrize("threads", ["1", "2"])
 def test_an_interruption_while_the_next_frame_is_read_leaves_this_one_whole(
-    ahead: tuple[str, ...], recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    threads: str, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read = Skipping.read
 
@@ -498,27 +498,28 @@ def test_an_interruption_while_the_next_frame_is_read_leaves_this_one_whole(
         return read(skipping, file)
 
     monkeypatch.setattr(Skipping, "read", interrupted)
-    assert run(recording, "--focal", "100", *ahead, "--out", tmp_path / "out") == 130
+    assert run(recording, "--focal", "100", "--threads", threads, "--out", tmp_path / "out") == 130
     assert sorted(path.name for path in (tmp_path / "out/labels").iterdir()) == ["7.png", "8.png", "9.png"]
 
 
-def test_frames_read_ahead_have_the_same_labels(
+def test_frames_that_are_labelled_at_the_same_time_have_the_same_labels(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = []
-    for ahead in ((), ("--ahead",)):
+    for count in (1, 5):
         threads: set[str] = set()
-        read = Skipping.read
+        label = Segmenter.label
 
-        def noted(skipping: Skipping, file: Any, read: Any = read, threads: set[str] = threads) -> Any:
-            threads.add(threading.current_thread().name.partition("_")[0])
-            return read(skipping, file)
+        def noted(segmenter: Segmenter, bodies: Any, label: Any = label, threads: set[str] = threads) -> Any:
+            threads.add(f"{threading.current_thread().name} {torch.get_num_threads()}")
+            return label(segmenter, bodies)
 
         with monkeypatch.context() as patched:
-            patched.setattr(Skipping, "read", noted)
-            out = tmp_path / f"out{len(ahead)}"
-            assert run(recording, "--focal", "100", "--threads", "1", *ahead, "--out", out) == 0
-        assert ("reading" in threads) == bool(ahead)
+            patched.setattr(Segmenter, "label", noted)
+            out = tmp_path / f"out{count}"
+            assert run(recording, "--focal", "100", "--threads", str(count), "--out", out) == 0
+        assert all(name.startswith("labelling") == (count > 1) and name.endswith(" 1") for name in threads)
+        assert len(threads) <= 4
         found.append([pixels(file) for file in sorted((out / "labels").iterdir())])
     np.testing.assert_array_equal(found[0], found[1])
 

@@ -95,7 +95,7 @@ def test_the_bench_runs_every_way_and_draws(
     monkeypatch.setattr(bench, "load_network", lambda: trained)
     monkeypatch.setattr(bench, "made_rooms", lambda camera, count: [made(camera)] * count)
     ways_by_torch = {name: way for name, way in WAYS.items() if "backend" not in way.options}
-    assert len(ways_by_torch) == len(WAYS) - 4
+    assert len(ways_by_torch) == len(WAYS) - 3
     monkeypatch.setattr(bench, "WAYS", ways_by_torch)
     live_by_torch = {name: way for name, way in LIVE.items() if way[0] is None}
     assert len(live_by_torch) == len(LIVE) - 1
@@ -112,7 +112,7 @@ def test_the_bench_runs_every_way_and_draws(
         ways = size["ways"]
         assert set(ways) == set(ways_by_torch)
         assert set(size["live"]) == set(live_by_torch)
-        for way in (each[order] for each in size["live"].values() for order in ("one by one", "ahead")):
+        for way in (each[order] for each in size["live"].values() for order in ("one by one", "two at once")):
             assert 0 < way["p50_ms"] <= way["p95_ms"] and way["frames_per_second"] > 0
         for way in ways.values():
             assert way["rounds"] == [way["frames_per_second"]]

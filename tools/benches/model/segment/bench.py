@@ -65,15 +65,14 @@ WAYS: Final = {
     "float32": Way(options=_FLOAT32),
     "beside a busy program": Way(options=_FLOAT32, busy=True),
     "beside it, one thread": Way(options={**_FLOAT32, "threads": 1}, busy=True),
+    "one thread": Way(options={**_FLOAT32, "threads": 1}),
     "things labelled, too": Way(options={**_FLOAT32, "keep_things": True}),
     "no pictures": Way(options={**_FLOAT32, "no_overlay": True}),
-    "ahead, one thread": Way(options={**_FLOAT32, "ahead": True, "threads": 1}),
     "flip average": Way(options={**_FLOAT32, "flip_average": True}),
     "bfloat16, flip average": Way(options={**_BFLOAT16, "flip_average": True}),
     "OpenVINO": Way(options={"backend": "openvino", **_FLOAT32}),
     "OpenVINO, bfloat16": Way(options=_OPENVINO),
     "OpenVINO, bfloat16, one thread": Way(options={**_OPENVINO, "threads": 1}),
-    "OpenVINO, bfloat16, ahead": Way(options={**_OPENVINO, "ahead": True}),
 }
 """Name -> way; in float32 where no name says another precision."""
 

@@ -1,4 +1,4 @@
-"""Frames of a live sensor: how old a frame is when its labels are there, with and without reading ahead."""
+"""Frames of a live sensor: how old a frame is when its labels are there, one by one and two at a time."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation import FrameLabeller
 
@@ -42,29 +44,32 @@ class Sensor:
 
 
 def live(labeller: FrameLabeller, camera: Camera, frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
-    """Age of frames when their labels are there, ms, and frames a second, with and without `ahead`, in turns.
+    """Age of frames when their labels are there, ms, and frames a second, one by one and two at a time, in turns.
 
-    Every frame is shown `_ROUNDS` times each way; the first of each round is left out.
+    Every frame is shown `_ROUNDS` times each way; the first of each round is left out. One by one, a frame has all of
+    PyTorch's threads; of two, each has half of them.
     """
-    ages: dict[bool, list[float]] = {False: [], True: []}
-    seconds = {False: 0.0, True: 0.0}
+    threads = torch.get_num_threads()
+    ages: dict[int, list[float]] = {1: [], 2: []}
+    seconds = {1: 0.0, 2: 0.0}
     for _ in range(_ROUNDS):
-        for ahead in ages:
+        for at_once in ages:
             sensor = Sensor(frames, len(frames) + 1)
-            stream = labeller.stream(sensor, camera, ahead=ahead)
-            next(stream)
-            start = time.perf_counter()
-            for number, _answer in enumerate(stream, 1):
-                ages[ahead].append(time.perf_counter() - sensor.came[number])
-            seconds[ahead] += time.perf_counter() - start
+            with torch_threads(max(1, threads // at_once)):
+                stream = labeller.stream(sensor, camera, at_once)
+                next(stream)
+                start = time.perf_counter()
+                for number, _answer in enumerate(stream, 1):
+                    ages[at_once].append(time.perf_counter() - sensor.came[number])
+                seconds[at_once] += time.perf_counter() - start
     return {
         "sensor_rate": RATE,
         **{
             name: {
-                "frames_per_second": round(len(ages[ahead]) / seconds[ahead], 2),
-                "p50_ms": round(1000 * float(np.median(ages[ahead])), 1),
-                "p95_ms": round(1000 * float(np.quantile(ages[ahead], 0.95)), 1),
+                "frames_per_second": round(len(ages[at_once]) / seconds[at_once], 2),
+                "p50_ms": round(1000 * float(np.median(ages[at_once])), 1),
+                "p95_ms": round(1000 * float(np.quantile(ages[at_once], 0.95)), 1),
             }
-            for name, ahead in (("one by one", False), ("ahead", True))
+            for name, at_once in (("one by one", 1), ("two at once", 2))
         },
     }
