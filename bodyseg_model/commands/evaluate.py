@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,10 +193,7 @@ def _evaluate(
 def _times(trained: networks.Trained, images: loading.RangeImages, frames: int) -> dict[str, Any]:
     """Time the network on the first images of the first set."""
     chosen = images.order(images.epoch)[:frames].tolist()
-    times = dataclasses.asdict(
-        evaluation.time_frames(trained.network, [images[index]["range"][None] for index in chosen])
-    )
-    return {name: round(value, 2) if isinstance(value, float) else value for name, value in times.items()}
+    return evaluation.time_frames(trained.network, [images[index]["range"][None] for index in chosen])
 
 
 def _facts(options: Options, trained: networks.Trained) -> dict[str, Any]:

@@ -67,7 +67,6 @@ class Options:
     where: tuple[str, ...] = option(WHERE_HELP, ())
     labels: str | None = option("with a set: classes to export, a label map by name or file (default: the set's)", None)
     instances: str | None = option("with a set: its plane of instances (default: instances, if it has one)", None)
-    uncompressed: bool = option("with coco: write run lengths as numbers, not as text", False)
     fps: int = option("with lerobot: frames a second", 10)
 
 
@@ -94,8 +93,6 @@ class LabelImage(NamedTuple):
 def run(options: Options) -> int:
     """Write the export: its folder appears when it is whole, in place of one of an earlier export."""
     check_int("--fps", options.fps, 1)
-    if options.uncompressed and options.format != "coco":
-        raise BadConfig(f"--uncompressed is for --format coco, found {options.format}")
     if options.topic is not None and not options.frames:
         raise BadConfig("--topic is of --frames, which are missing")
     facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
@@ -291,9 +288,8 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
             entries, ids = list[dict[str, Any]](), np.zeros(image.labels.size, np.uint32)
             for facts, counts in segments(image):
                 ids[np.repeat(np.arange(len(counts)) % 2 > 0, counts)] = facts["id"]
-                told = counts.tolist() if options.uncompressed else compressed(counts)
                 of_image = {"id": written + len(entries) + 1, "image_id": image.number}
-                runs = {**of_image, "segmentation": {"size": [rows, columns], "counts": told}}
+                runs = {**of_image, "segmentation": {"size": [rows, columns], "counts": compressed(counts)}}
                 entries.append(facts if panoptic else {**facts, **runs})
             if panoptic:
                 colours = np.stack([ids >> shift & 255 for shift in (0, 8, 16)], -1).astype(np.uint8)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -263,23 +263,12 @@ def _away(
 _WARM_UP: Final = 3
 
 
-@dataclass(frozen=True)
-class FrameTimes:
-    """Milliseconds for one frame. frames: number timed; threads: number torch may use; device: its name."""
-
-    mean: float
-    deviation: float
-    median: float
-    frames: int
-    threads: int
-    device: str
-
-
-def time_frames(network: Network, frames: Sequence[torch.Tensor]) -> FrameTimes:
+def time_frames(network: Network, frames: Sequence[torch.Tensor]) -> dict[str, Any]:
     """Time `predict` on single frames, float32 [1, 1, H, W] each, from a frame in memory to labels in memory.
 
-    Loading, scoring and drawing are excluded; a few frames are predicted first, untimed. deviation: over frames,
-    divisor n - 1, 0 for a single one. Raises BadConfig if there is no frame.
+    Loading, scoring and drawing are excluded; a few frames are predicted first, untimed. Returns milliseconds, with
+    their deviation over frames (divisor n - 1, 0 for a single one), the numbers of frames and of threads that torch may
+    use, and the device's name, as plain JSON. Raises BadConfig if there is no frame.
     """
     if not frames:
         raise BadConfig("timing a network needs at least one frame")
@@ -294,7 +283,10 @@ def time_frames(network: Network, frames: Sequence[torch.Tensor]) -> FrameTimes:
         seconds(frames[number % len(frames)])
     taken = np.array([1000 * seconds(frame) for frame in frames])
     deviation = float(taken.std(ddof=1)) if len(taken) > 1 else 0.0
-    name = torch.cuda.get_device_name(device) if device.type == "cuda" else "processor"
-    return FrameTimes(
-        float(taken.mean()), deviation, float(np.median(taken)), len(taken), torch.get_num_threads(), name
-    )
+    times = {"mean": float(taken.mean()), "deviation": deviation, "median": float(np.median(taken))}
+    return {
+        **{name: round(value, 2) for name, value in times.items()},
+        "frames": len(taken),
+        "threads": torch.get_num_threads(),
+        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "processor",
+    }
