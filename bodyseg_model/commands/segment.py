@@ -89,7 +89,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     step_m = None if options.units is None else recordings.metres_a_step(options.units)
     frames = recordings.find_frames(options.frames, options.topic, step_m, options.skip_unreadable)
     threads = training.use_threads(options.threads)
-    at_once = min(threads, _AT_ONCE, len(frames))
+    at_once = 1 if options.video else min(threads, _AT_ONCE, len(frames))
     training.use_threads(threads // at_once)
     trained = runtimes.load_network(options.run, dense=options.dense)
     mode = options.background or segmentation.Background.usual(trained.label_map).mode

@@ -25,7 +25,6 @@ from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, shipped_finder
 from bodyseg_model.segmentation.segmenter import (
     LEAST_CONFIDENCE,
-    FoundBodies,
     Segmentation,
     Segmenter,
     least_confidence_of_people,
@@ -64,10 +63,7 @@ class LabelledFrame(Segmentation):
 
 
 Labelling = Callable[[], LabelledFrame]
-"""Labels a frame whose bodies are found: of a video, all is done that may be while the frame before it is labelled."""
-
-Finding = Callable[[], Labelling | None]
-"""Finds the bodies of a frame that has been read; None for one that is skipped."""
+"""Labels a frame that has been read."""
 
 
 @dataclass
@@ -214,7 +210,7 @@ class FrameLabeller:
         another size than the camera's, of whole numbers or in millimetres, or, without a finder of people, with a body
         too large for a view.
         """
-        return self._array(0, range_m, camera)()()
+        return self._array(0, range_m, camera)()
 
     def prepare(self, camera: Camera) -> None:
         """Load the compiled loops and label usual views of a camera, so that its first frame takes no longer than
@@ -237,19 +233,17 @@ class FrameLabeller:
         `answer.frame.time_s`. They may never end. camera: the one that takes them, with or without lens distortion; its
         `prepare` comes first.
         at_once: frames that are labelled at the same time, each in a thread, which has as many of PyTorch's threads as
-        the caller; with `video`, people are found in later frames while one is labelled. The same answers in the same
-        order, more of them a second, each a little later. Each frame must then be an array of its own, into which no
-        driver writes again. Raises BadConfig as a call, naming the frame by its number.
+        the caller: the same answers in the same order, more of them a second, each a little later. Each frame must then
+        be an array of its own, into which no driver writes again. Frames of a `video` are labelled one after another.
+        Raises BadConfig as a call, naming the frame by its number.
         """
         self.restart()
         self.prepare(camera)
         read = (self._array(number, each, camera, f"frame {number}") for number, each in enumerate(frames))
-        with contextlib.closing(_labellings(read, at_once, self.video is not None)) as coming:
-            yield from (label() for label in coming if label is not None)
+        with contextlib.closing(side_by_side(read, 1 if self.video else at_once)) as answers:
+            yield from answers
 
-    def _array(
-        self, number: int, given: NDArray[np.float32] | Frame, camera: Any, where: str = ""
-    ) -> Callable[[], Labelling]:
+    def _array(self, number: int, given: NDArray[np.float32] | Frame, camera: Any, where: str = "") -> Labelling:
         watch, frame = Stopwatch((_READ,)), given if isinstance(given, Frame) else None
         with reported(where, BadConfig):
             with watch(_READ):
@@ -262,7 +256,7 @@ class FrameLabeller:
                 _, segmenter = self.of(camera)
             turns.frames += 1
         read_ms = watch.milliseconds[_READ]
-        return partial(_find, where, segmenter, self.label_map, ideal, read_ms, number=number, frame=frame)
+        return partial(_label, where, segmenter, self.label_map, ideal, read_ms, number=number, frame=frame)
 
     def recording(
         self,
@@ -376,13 +370,15 @@ class LabelledRecording:
         at_once: as of `FrameLabeller.stream`; another thread then reads recordings. stamps: read the headers of frames'
         messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
         """
-        read = (self._read(number, self._skipping.read, stamps=stamps) for number in range(len(self)))
-        with contextlib.closing(_labellings(read, at_once, self.labeller.video is not None)) as coming:
-            for number, label in enumerate(coming):
-                if number == 0 or self.frames[number].sequence != self.frames[number - 1].sequence:
-                    self.labeller.restart(numbers=number == 0)  # no person gets the number of one in another input
-                if label is not None:
-                    yield label()
+        jobs = self._read_in_order(stamps)
+        with contextlib.closing(side_by_side(jobs, 1 if self.labeller.video else at_once)) as answers:
+            yield from (answer for answer in answers if answer is not None)
+
+    def _read_in_order(self, stamps: bool) -> Iterator[Callable[[], LabelledFrame | None]]:
+        for number, frame in enumerate(self.frames):
+            if number == 0 or frame.sequence != self.frames[number - 1].sequence:
+                self.labeller.restart(numbers=number == 0)  # no person gets the number of one in another input
+            yield self._read(number, self._skipping.read, stamps=stamps) or (lambda: None)
 
     def label(self, number: int) -> LabelledFrame:
         """Label one frame, as the first of a video; a negative number counts from the end. Raises BadConfig, naming the
@@ -391,9 +387,9 @@ class LabelledRecording:
         A camera's first frame is labelled after its segmenter is prepared, so that its times are as others'.
         """
         number = range(len(self))[number]
-        find = self._read(number, Frame.read, prepare=True)
+        label = cast(Labelling, self._read(number, Frame.read, prepare=True))  # `Frame.read` skips none
         self.labeller.restart()
-        return cast(Labelling, find())()  # `Frame.read` skips none
+        return label()
 
     def undistorted(self, frame: Frame, pixels: Pixels) -> tuple[Pixels, Segmenter, FrameCamera]:
         """A frame's pixels without distortion, the segmenter for them, and the camera. Raises BadConfig, naming it."""
@@ -404,19 +400,19 @@ class LabelledRecording:
 
     def _read(
         self, number: int, read: Callable[[Frame], Pixels | None], prepare: bool = False, stamps: bool = False
-    ) -> Finding:
-        """Read a frame, or find nothing in one that cannot be read and is skipped."""
+    ) -> Labelling | None:
+        """Read a frame; None for one that cannot be read and is skipped."""
         watch, frame = Stopwatch((_READ,)), self.frames[number]
         with watch(_READ):
             pixels = read(frame)
             if pixels is None:
-                return lambda: None
+                return None
             pixels, segmenter, camera = self.undistorted(frame, pixels)
             range_m = to_metres(pixels, frame.step_m)
         if prepare:
             segmenter.prepare()
         return partial(
-            _find,
+            _label,
             frame.where,
             segmenter,
             self.labeller.label_map,
@@ -444,58 +440,39 @@ class LabelledRecording:
         }
 
 
-def _find(
+def _label(
     where: str, segmenter: Segmenter, label_map: LabelMap, range_m: NDArray[np.float32], read_ms: float, **of_frame: Any
-) -> Labelling:
-    """Find the bodies of a frame. of_frame: other fields of the answer. Raises BadConfig, naming the frame."""
-    with reported(where, BadConfig):
-        found = segmenter.find(range_m)
-    return partial(_label_found, where, segmenter, label_map, found, read_ms, **of_frame)
-
-
-def _label_found(
-    where: str, segmenter: Segmenter, label_map: LabelMap, found: FoundBodies, read_ms: float, **of_frame: Any
 ) -> LabelledFrame:
-    """Label the bodies of a frame. of_frame: as of `_find`. Raises BadConfig, naming it."""
+    """Label a frame. of_frame: other fields of the answer. Raises BadConfig, naming the frame."""
     with reported(where, BadConfig):
-        answer = segmenter.label(found)
+        answer = segmenter(range_m)
     if segmenter.label_map is not label_map:
         answer = answer.joined(label_map)
     fields = {**vars(answer), **of_frame, "milliseconds": {_READ: read_ms, **answer.milliseconds}}
     return LabelledFrame(**fields)
 
 
-def _labellings(read: Iterable[Finding], at_once: int, video: bool) -> Generator[Labelling | None, None, None]:
-    """For each frame that has been read, in order, what labels it; frames of a video must be labelled in order, too."""
-    if check_int("at_once", at_once, 1) == 1:
-        return (find() for find in read)
-    return side_by_side(read if video else (partial(_label_beside, find) for find in read), at_once - video)
-
-
-def _label_beside(find: Finding) -> Labelling | None:
-    if (label := find()) is None:
-        return None
-    answer = label()
-    return lambda: answer
-
-
-def side_by_side(jobs: Iterable[Callable[[], Item]], threads: int) -> Generator[Item, None, None]:
-    """Yield what jobs give, in their order; so many at a time are done, each in a thread, and one thread asks for jobs.
+def side_by_side(jobs: Iterable[Callable[[], Item]], at_once: int) -> Generator[Item, None, None]:
+    """Yield what jobs give, in their order. at_once: number of jobs that are done at a time, each in a thread, while
+    another thread asks for the next; 1: each is done before the next is asked for.
 
     An error of a job is raised in its place, after the answers of all before it. Whoever leaves early waits for the
-    jobs that are being done.
+    jobs that are being done. Raises BadConfig for `at_once` below 1.
     """
+    if check_int("at_once", at_once, 1) == 1:
+        yield from (job() for job in jobs)
+        return
     remaining, own = iter(jobs), (torch.get_num_threads(),)
     with (
         ThreadPoolExecutor(1, "reading") as reading,
-        ThreadPoolExecutor(threads, "labelling", torch.set_num_threads, own) as pool,
+        ThreadPoolExecutor(at_once, "labelling", torch.set_num_threads, own) as pool,
     ):
 
         def begun() -> Future[Any]:
             coming: Future[Any] = reading.submit(next, remaining, _END)
             return pool.submit(lambda: _END if (job := coming.result()) is _END else job())
 
-        waiting = deque(begun() for _ in range(threads))
+        waiting = deque(begun() for _ in range(at_once))
         while (item := waiting.popleft().result()) is not _END:
             waiting.append(begun())
             yield item

@@ -289,9 +289,8 @@ class Segmenter:
     def find(self, range_m: NDArray[np.float32]) -> FoundBodies:
         """Find the bodies of a frame that the network is to label: all that is done before the network.
 
-        range_m: as of a call. Keeps nothing from frame to frame, so that another thread may find those of the next
-        frame while this one's are labelled. Raises BadConfig as `metres_of`, or for a body that no view can show; in
-        the background mode "people", where a wide camera meets one in a thousand, it is `unseen`.
+        range_m: as of a call. Keeps nothing from frame to frame. Raises BadConfig as `metres_of`, or for a body that no
+        view can show; in the background mode "people", where a wide camera meets one in a thousand, it is `unseen`.
         """
         range_m = metres_of(range_m, self.camera)
         watch = Stopwatch(STAGES)

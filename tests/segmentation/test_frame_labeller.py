@@ -175,10 +175,9 @@ def test_a_stream_answers_each_frame_with_its_number(
         assert found.number == number
         np.testing.assert_array_equal(found.labels, alone[number])
         assert at_once > 1 or len(taken) == number + 1, "an answer before the next frame is asked for"
-    assert all((name == "MainThread") == (at_once == 1) for name in taken)
-    assert set(labelled) == {"MainThread" if video or at_once == 1 else "labelling"}, "a video's in order"
-    with pytest.raises(BadConfig, match="^at_once must be a whole number of at least 1, found 0$"):
-        next(label.stream(live(), CAMERA, 0))
+    one_by_one = video or at_once == 1
+    assert all((name == "MainThread") == one_by_one for name in taken)
+    assert set(labelled) == {"MainThread" if one_by_one else "labelling"}, "a video's frames in their order"
 
 
 @pytest.mark.parametrize("camera", [CAMERA, BENT])

@@ -40,12 +40,27 @@ def test_so_many_jobs_are_done_at_a_time_and_no_more_are_asked_for() -> None:
     assert list(side_by_side((), 3)) == []
 
 
+def test_one_at_a_time_is_done_before_the_next_is_asked_for() -> None:
+    said: list[str] = []
+
+    def jobs() -> Iterator[Callable[[], None]]:
+        for number in range(2):
+            said.append(f"asked {number}")
+            yield partial(said.append, f"done {number}")
+
+    for number, _ in enumerate(side_by_side(jobs(), 1)):
+        said += [f"taken {number}", threading.current_thread().name]
+    assert said == ["asked 0", "done 0", "taken 0", "MainThread", "asked 1", "done 1", "taken 1", "MainThread"]
+    with pytest.raises(BadConfig, match="^at_once must be a whole number of at least 1, found 0$"):
+        list(side_by_side(jobs(), 0))
+
+
 def test_a_thread_has_as_many_threads_of_torch_as_its_caller() -> None:
     before = torch.get_num_threads()
     try:
         for number in (3, 1):
             torch.set_num_threads(number)
-            assert list(side_by_side([torch.get_num_threads], 1)) == [number]
+            assert list(side_by_side([torch.get_num_threads], 2)) == [number]
     finally:
         torch.set_num_threads(before)
 
