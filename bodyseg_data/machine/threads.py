@@ -20,16 +20,6 @@ def pieces(count: int, parts: int) -> list[tuple[int, int]]:
     return list(itertools.pairwise(count * part // parts for part in range(parts + 1)))
 
 
-def in_threads(work: Callable[[int, int], object], runs: list[tuple[int, int]]) -> None:
-    """Call `work` with the ends of each run, all at once: the first in this thread. Raises what `work` does."""
-    others = [_threads().submit(work, *run) for run in runs[1:]]
-    try:
-        work(*runs[0])
-    finally:
-        for other in others:
-            other.result()
-
-
 def of_each(function: Callable[[Item], Result], items: Sequence[Item], threads: int) -> list[Result]:
     """Call `function` with each item, in at most so many threads, this one among them: each takes the next that is
     left. Returns the results in the order of the items; raises what `function` does.
@@ -37,11 +27,16 @@ def of_each(function: Callable[[Item], Result], items: Sequence[Item], threads: 
     left: Iterator[tuple[int, Item]] = iter(list(enumerate(items)))  # no two threads get the same item
     found: dict[int, Result] = {}
 
-    def work(_first: int, _behind: int) -> None:
+    def work() -> None:
         for number, item in left:
             found[number] = function(item)
 
-    in_threads(work, pieces(len(items), max(1, min(threads, len(items)))))
+    others = [_threads().submit(work) for _ in range(min(threads, len(items)) - 1)]
+    try:
+        work()
+    finally:
+        for other in others:
+            other.result()
     return [found[number] for number in range(len(items))]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies import from_rotation_vector
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.machine import in_threads, pieces
+from bodyseg_data.machine import of_each, pieces
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation.views import check_size
 
@@ -327,12 +327,13 @@ class CarriedLabels:
     def _carry(self, body: BodyPixels, *arguments: Any) -> None:
         """Carry evidence to a body's pixels, which do not depend on each other, in several threads if they are many."""
 
-        def work(first: int, last: int) -> None:
-            some = body._replace(pixels=body.pixels[first:last], confidence=body.confidence[first:last])
+        def work(run: tuple[int, int]) -> None:
+            some = body._replace(pixels=body.pixels[slice(*run)], confidence=body.confidence[slice(*run)])
             self._loops.carry(some, *arguments)
 
         count = len(body.pixels)
-        in_threads(work, pieces(count, min(torch.get_num_threads(), max(1, count // _LEAST_PIXELS))))
+        threads = min(torch.get_num_threads(), max(1, count // _LEAST_PIXELS))
+        of_each(work, pieces(count, threads), threads)
 
 
 @lru_cache(maxsize=8)

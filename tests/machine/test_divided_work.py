@@ -8,7 +8,6 @@ import threading
 import pytest
 
 from bodyseg_data.machine import of_each, pieces
-from bodyseg_data.machine.threads import in_threads
 
 
 @pytest.mark.parametrize(("count", "parts"), [(0, 1), (1, 3), (10, 3), (7, 7)])
@@ -19,32 +18,8 @@ def test_pieces_cover_everything_once(count: int, parts: int) -> None:
     assert max(last - first for first, last in found) - min(last - first for first, last in found) <= 1
 
 
-def test_all_runs_are_worked_on_at_once_and_the_first_here() -> None:
-    together, places = threading.Barrier(3, timeout=20), {}
-
-    def work(first: int, last: int) -> None:
-        together.wait()  # passed by three threads together alone
-        places[first, last] = threading.current_thread()
-
-    runs = pieces(9, 3)
-    in_threads(work, runs)
-    assert set(places) == set(runs) and places[runs[0]] is threading.current_thread()
-
-
-@pytest.mark.parametrize("bad", [0, 1])
-def test_an_error_in_any_thread_is_raised(bad: int) -> None:
-    def work(first: int, last: int) -> None:
-        if first == bad:
-            raise ValueError(f"run {first} to {last}")
-
-    with pytest.raises(ValueError, match=f"run {bad} to {bad + 1}"):
-        in_threads(work, pieces(2, 2))
-
-
 def _sum(found: multiprocessing.SimpleQueue[int]) -> None:
-    sums: list[int] = []
-    in_threads(lambda first, last: sums.append(sum(range(first, last))), pieces(100, 2))
-    found.put(sum(sums))
+    found.put(sum(of_each(lambda run: sum(range(*run)), pieces(100, 2), 2)))
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
@@ -73,14 +48,18 @@ def test_items_are_worked_on_at_once_each_by_one_thread() -> None:
         return item, threading.get_ident()
 
     found = of_each(work, range(6), 2)
-    assert [item for item, _ in found] == list(range(6)) and len({thread for _, thread in found}) == 2
+    threads = {thread for _, thread in found}
+    assert [item for item, _ in found] == list(range(6)) and len(threads) == 2 and threading.get_ident() in threads
 
 
-def test_an_error_of_an_item_is_raised() -> None:
-    def work(item: int) -> int:
-        if item == 3:
-            raise IndexError("item 3")
-        return item
+@pytest.mark.parametrize("bad", [0, 1])
+def test_an_error_in_any_thread_is_raised(bad: int) -> None:
+    together = threading.Barrier(2, timeout=20)
 
-    with pytest.raises(IndexError, match="item 3"):
-        of_each(work, range(5), 2)
+    def work(item: int) -> None:
+        together.wait()
+        if item == bad:
+            raise IndexError(f"item {item}")
+
+    with pytest.raises(IndexError, match=f"^item {bad}$"):
+        of_each(work, range(2), 2)
