@@ -34,9 +34,6 @@ class Options:
     backend: runtimes.BackendName | None = option(runtimes.BACKEND_HELP, None)
     precision: runtimes.Precision | None = option(runtimes.PRECISION_HELP, None)
     flip_average: bool = option(runtimes.FLIP_HELP, False)
-    checkpoint: networks.CheckpointName | None = option(
-        "weights of the training in --run: its best or its last (default: those that it ended with)", None
-    )
     variant: VariantName = option("artifacts that the images have", "all", heading="Images")
     split: ReadSplit = option("split of the sets to score", "test")
     val_share: float = option("share of the train split that counts as val, not as train", 0.0)
@@ -62,7 +59,7 @@ class Options:
 def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
-    trained = runtimes.load_network(options.run, options.checkpoint)
+    trained = runtimes.load_network(options.run)
     trained = runtimes.put_on_backend(trained, options.backend, options.precision, options.flip_average)
     step, recipe = trained.card.get("step"), trained.card.get("recipe")
     steps = recipe.get("steps") if isinstance(recipe, dict) else None
@@ -103,8 +100,6 @@ def run(options: Options) -> int:
 
 
 def _check(options: Options) -> None:
-    if options.checkpoint is not None and options.run is None:
-        raise BadConfig("--checkpoint is one of a training run: give its folder by --run")
     for name, value, least in (("images", options.images, 1), ("frames", options.frames, 0)):
         if value is not None and value < least:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from threading import get_ident
 from types import NoneType
-from typing import Any, ClassVar, Final, get_args
+from typing import Any, ClassVar, Final
 
 import torch
 from safetensors import SafetensorError
@@ -18,11 +18,11 @@ from torch import nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
-from bodyseg_data.core import BadConfig, check_choice, check_class, reported
+from bodyseg_data.core import BadConfig, check_class, reported
 from bodyseg_data.files import parts_left, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
-from bodyseg_model.networks.names import CardWords, CheckpointName, RunFiles
+from bodyseg_model.networks.names import CardWords, RunFiles
 from bodyseg_model.networks.network import Network, WrappedModule, check_label_map
 from bodyseg_model.networks.registry import build
 
@@ -134,22 +134,15 @@ def half_weights(network: Network) -> dict[str, torch.Tensor]:
     return {name: weight.half() if weight.ndim > 1 else weight for name, weight in network.state_dict().items()}
 
 
-def load_network(
-    path: Path | str | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False
-) -> Trained:
+def load_network(path: Path | str | None = None, *, dense: bool = False) -> Trained:
     """Load the network of a run's folder or a .safetensors file, as `bodyseg_model.load_network`, which reads .onnx
     files, too. Raises BadConfig.
     """
     path = SHIPPED if path is None else Path(path)
     path = path if path.exists() else _NAMED.get(str(path), path)
-    check_choice("checkpoint", checkpoint, (None, *get_args(CheckpointName)))
-    if checkpoint is not None and not path.is_dir():
-        raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
-    if checkpoint == "last" or (checkpoint is None and path.is_dir() and RunFiles.unfinished(path)):
+    if path.is_dir() and RunFiles.unfinished(path):
         return _last_weights(path)
-    file = path / (RunFiles.BEST if checkpoint == "best" else RunFiles.NETWORK) if path.is_dir() else path
-    if checkpoint == "best" and not file.exists():
-        raise BadConfig(f"{path} has no best checkpoint: it is kept by a training that is validated (--val-share)")
+    file = path / RunFiles.NETWORK if path.is_dir() else path
     if file.suffix != ".safetensors" or not path.exists():
         found = path if path.exists() else f"{path}, which is not there"
         raise BadConfig(f"a network is {' or '.join(_NAMED)}, a run's folder or a .safetensors file, found {found}")

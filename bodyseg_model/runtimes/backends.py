@@ -16,7 +16,6 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from bodyseg_data.core import BadConfig, check_choice, reported
 from bodyseg_data.machine import computes_bfloat16
 from bodyseg_model.networks import (
-    CheckpointName,
     FlipAverage,
     Network,
     Trained,
@@ -128,15 +127,12 @@ def put_on_backend(
     return Trained(FlipAverage(network, trained.label_map) if flip_average else network, trained.card)
 
 
-def load_network(
-    path: Path | str | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False
-) -> Trained:
+def load_network(path: Path | str | None = None, *, dense: bool = False) -> Trained:
     """Load a trained network with its card, onto the processor.
 
-    path: a run's folder; a .safetensors file, with its .json beside it; an .onnx file, for onnxruntime; or, where
-    there is no such path, "compact" or "large", which ship with the package. None for `compact`.
-    checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
-    checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
+    path: a run's folder, for the network that the training ended with, or the last checkpoint of one that has not; a
+    .safetensors file, with its .json beside it, such as a run's best.safetensors; an .onnx file, for onnxruntime; or,
+    where there is no such path, "compact" or "large", which ship with the package. None for `compact`.
     dense: with the head of places on the template, which the `compact` that ships has in a file of its own; others have
     it if they were trained with one.
 
@@ -145,9 +141,7 @@ def load_network(
     fit the card: with weights of another SHA-256, or a rig that is none; MissingLibrary for an .onnx file.
     """
     if path is None or Path(path).suffix != SUFFIX or Path(path).is_dir():
-        return load_weights(path, checkpoint, dense=dense)
-    if checkpoint is not None:
-        raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
+        return load_weights(path, dense=dense)
     model = read_onnx(Path(path))
     network = RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), "float32")
     return trained_network(network, model.card, Path(path))

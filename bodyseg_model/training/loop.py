@@ -310,7 +310,7 @@ class Training:
     def _save(self, facts: Mapping[str, Any]) -> None:
         step, network = self.step, self.result
         if self.validation is not None and self.validation.keep == "best" and self._best is not None:
-            step, network = self._best.step, load_network(self.folder.path, "best").network
+            step, network = self._best.step, load_network(self.folder.path / RunFiles.BEST).network
         save_network(self.folder.network, network, self.name, self._card(facts, step))
 
     def _card(self, facts: Mapping[str, Any], step: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Networks of trainings that have not ended, and their best and last checkpoints."""
+"""Networks of trainings that have not ended: their last checkpoint, and the weights of their best validation."""
 
 from __future__ import annotations
 
@@ -31,14 +31,13 @@ def unfinished(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 def test_a_training_that_has_not_ended_gives_its_last_checkpoint(unfinished: Path) -> None:
     stored = load_file(unfinished / "checkpoint-00000003.safetensors")
-    for checkpoint in (None, "last"):
-        trained = load_network(unfinished, checkpoint)  # type: ignore[arg-type]
-        assert (trained.card["step"], trained.card["recipe"]["steps"]) == (3, 4)
-        assert rig_from_json(trained.card["rig"]) == SMALL
-        assert not trained.network.training
-        for name, weight in trained.network.state_dict().items():
-            assert torch.equal(weight, stored[f"average.{name}"])
-    best = load_network(unfinished, "best")
+    trained = load_network(unfinished)
+    assert (trained.card["step"], trained.card["recipe"]["steps"]) == (3, 4)
+    assert rig_from_json(trained.card["rig"]) == SMALL
+    assert not trained.network.training
+    for name, weight in trained.network.state_dict().items():
+        assert torch.equal(weight, stored[f"average.{name}"])
+    best = load_network(unfinished / "best.safetensors")
     assert best.card["step"] == 1
     assert best.card["sensor"]["name"] == "paper"
 
@@ -49,7 +48,6 @@ def test_the_end_comes_before_the_last_checkpoint_until_the_training_goes_on(sma
     with pytest.raises(CutError):
         train(small_set, tmp_path, steps=5, report=cut_at(4), resume=True)
     assert load_network(tmp_path).card["step"] == 3
-    assert load_network(tmp_path, "last").card["step"] == 3
 
 
 def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(
@@ -72,46 +70,23 @@ def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(
     assert load_network(tmp_path).card["step"] == 3
 
 
-def test_checkpoints_that_are_not_there_are_refused(unfinished: Path, tmp_path: Path) -> None:
-    (tmp_path / "run.json").write_text("{}")
-    for path, checkpoint, message in (
-        (tmp_path, "last", "has no checkpoint yet"),
-        (tmp_path, "best", "has no best checkpoint: it is kept by a training that is validated (--val-share)"),
-        (unfinished / "best.safetensors", "best", "checkpoint 'best' is one of a run's folder, found"),
-    ):
-        with pytest.raises(BadConfig) as caught:
-            load_network(path, checkpoint)  # type: ignore[arg-type]
-        assert message in str(caught.value)
-
-
 def test_a_run_that_names_no_network_is_refused(small_set: Path, tmp_path: Path) -> None:
     train(small_set, tmp_path, steps=1)
     (tmp_path / "run.json").write_text("{}")
+    (tmp_path / "network.json").unlink()
     with pytest.raises(BadConfig, match=r"run.json must name the network and its settings"):
-        load_network(tmp_path, "last")
+        load_network(tmp_path)
     (file,) = tmp_path.glob("checkpoint-*.safetensors")
     file.unlink()
     with pytest.raises(BadConfig, match="cannot read .*checkpoint-00000001.safetensors"):
         read_checkpoint(tmp_path)
 
 
-@pytest.mark.parametrize("checkpoint", ["best", "last", None])
+@pytest.mark.parametrize(("file", "step"), [(".", 3), ("best.safetensors", 1)])
 def test_evaluate_says_which_step_it_scores(
-    unfinished: Path, small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], checkpoint: str | None
+    unfinished: Path, small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, step: int
 ) -> None:
-    words = ["--run", str(unfinished), "--data", str(small_set), "--json", str(tmp_path / "scores.json")]
-    words += ["--images", "2", "--num-workers", "0", "--frames", "0"]
-    if checkpoint is not None:
-        words += ["--checkpoint", checkpoint]
-    assert main(["evaluate", *words]) == 0
-    step = 1 if checkpoint == "best" else 3
+    words = ["--run", str(unfinished / file), "--data", str(small_set), "--json", str(tmp_path / "scores.json")]
+    assert main(["evaluate", *words, "--images", "2", "--num-workers", "0", "--frames", "0"]) == 0
     assert f"the network's weights are those after step {step} of 4\n" in capsys.readouterr().err
     assert json.loads((tmp_path / "scores.json").read_text())["card"]["step"] == step
-
-
-def test_evaluate_refuses_a_checkpoint_without_a_run(
-    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--data", str(small_set), "--json", str(tmp_path / "scores.json"), "--checkpoint", "best"]
-    assert main(["evaluate", *words]) == 2
-    assert capsys.readouterr().err.endswith("--checkpoint is one of a training run: give its folder by --run\n")

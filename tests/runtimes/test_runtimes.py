@@ -369,7 +369,6 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
         (["evaluate", "--run", str(tmp_path / "bare.onnx"), *to], "the format must be 'bodyseg onnx 1', found None"),
         (["evaluate", "--run", str(tmp_path / "odd.onnx"), *to], "its metadata must describe the graph"),
         (["evaluate", "--run", str(tmp_path / "toy.onnx"), *to], "toy.onnx: "),
-        (["evaluate", "--run", str(tmp_path / "toy.onnx"), "--checkpoint", "last", *to], "is one of a run's folder"),
         (["evaluate", "--run", str(run), "--backend", "tvm", *to], "--backend"),
         (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--precision", "bfloat16", *to], "one of float32"),
         (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--device", "cuda", *to], "found the device cuda"),

@@ -126,7 +126,7 @@ def test_weights_that_a_kill_left_without_their_card_are_no_best(small_set: Path
     (tmp_path / "best.safetensors").write_bytes(b"those of step 3, beside the card of step 1")
     after = GivenScores(images, 1, accuracies=(0.3, 0.4))
     train(small_set, tmp_path, steps=4, options=few, resume=True, validation=after)
-    assert load_network(tmp_path).card["step"] == load_network(tmp_path, "best").card["step"] == 4
+    assert load_network(tmp_path).card["step"] == load_network(tmp_path / "best.safetensors").card["step"] == 4
 
 
 def test_steps_may_shrink_to_those_done(small_set: Path, tmp_path: Path) -> None:

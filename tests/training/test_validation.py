@@ -60,7 +60,7 @@ def test_the_best_weights_are_kept(small_set: Path, held_out: RangeImages, tmp_p
     validation = GivenScores([held_out], 1, keep=keep, accuracies=(0.2, 0.6, NAN, 0.6))
     said = train(small_set, tmp_path / "run", validation=validation)
     assert [metrics.val_best_step for metrics in said] == [1, 2, None, 2]
-    best, network = load_network(tmp_path / "run", "best"), load_network(tmp_path / "run")
+    best, network = load_network(tmp_path / "run/best.safetensors"), load_network(tmp_path / "run")
     assert (best.card["step"], best.card["val_accuracy"]) == (2, 0.6)
     assert network.card["step"] == (2 if keep == "best" else 4)
     assert network.card["last_step"] == 4
