@@ -32,13 +32,12 @@ from bodyseg_model.segmentation.segmenter import (
 from bodyseg_model.segmentation.views import Turned, Undistortion, metres_of
 
 _READ: Final = "read"
-_KEPT: Final = 16  # cameras whose segmenters and turns are kept: an undistortion takes as much as several frames
+_KEPT: Final = 16  # cameras whose segmenters are kept: an undistortion takes as much as several frames
 
 _END: Final = object()
 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
-_MOST_LOOKED_AT: Final = 32  # frames of a recording; of a stream, its first ones, then one in `_SELDOM`
-_SELDOM: Final = 16
+_MOST_LOOKED_AT: Final = 32  # frames of a recording
 _SURER: Final = 0.05
 _PERSON: Final = 0.65  # least mean confidence in a person; the network that ships has less on furniture
 
@@ -68,18 +67,12 @@ Labelling = Callable[[], LabelledFrame]
 
 @dataclass
 class _Turns:
-    """Confidence in people at each turn of one camera's frames. frames: number of a stream's so far; judged: number of
-    those with people. confidence: for each turn, the sum over judged frames, float64 [4].
+    """Confidence in people at each turn of a recording's camera. judged: number of frames with people. confidence: for
+    each turn, the sum over these, float64 [4].
     """
 
-    frames: int = 0
     judged: int = 0
     confidence: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
-
-    @property
-    def open(self) -> bool:
-        """True if the next frame of a stream may tell more. People may come late, and judging takes its time."""
-        return self.judged < _JUDGED and (self.frames < _MOST_LOOKED_AT or self.frames % _SELDOM == 0)
 
     def means(self) -> NDArray[np.float64]:
         """Mean confidence at each turn of the judged frames, float64 [4]; 0 for none."""
@@ -104,8 +97,9 @@ class FrameLabeller:
     flip_average: label the mirror image, too, and average. dense: as of `Segmenter`.
     device: "cpu", "cuda", "cuda:1" ...; by default a GPU if there is one.
     turned: degrees by which the camera is mounted turned clockwise, as seen from behind it: 0; 90, heads point left in
-    its frames; 180, down; 270, right; "auto", the turn at which the network is surest of a person in four frames with
-    people; by default the roll of the frames' camera. Frames are turned upright to be labelled, and labels back.
+    its frames; 180, down; 270, right; "auto", for recordings: the turn at which the network is surest of a person in
+    four frames with people; by default the roll of the frames' camera. Frames are turned upright to be labelled, and
+    labels back.
     labels: coarser classes to give, of which the network's are parts: a label map, its name or file (`load_label_map`).
 
     Raises BadConfig for classes that the network's cannot be joined to, for another turn, for `finder` or `keep_things`
@@ -151,7 +145,6 @@ class FrameLabeller:
             raise BadConfig(f"finder and keep_things go with the background 'people', found {self.background.mode!r}")
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
         self._turned, self.tells_turn = turned, turned == "auto"
-        self._turns = lru_cache(maxsize=_KEPT)(lambda camera: _Turns())  # of its frames in calls and the stream
         self._segmenter = partial(
             Segmenter,
             self.trained,
@@ -177,10 +170,12 @@ class FrameLabeller:
     def quarters(self, camera: Camera, turns: _Turns | None = None) -> int:
         """Number of right angles by which the camera's frames are turned clockwise before they are labelled.
 
-        turns: of the camera's recording; by default of its frames in calls and the stream.
+        turns: of the camera's recording. Raises BadConfig where only that could tell.
         """
         if self.tells_turn:
-            return int((turns or self._turns(camera)).means().argmax())
+            if turns is None:
+                raise BadConfig("turned 'auto' is for recordings: other frames need their turn, like turned=90")
+            return int(turns.means().argmax())
         if self._turned is not None:
             return int(self._turned) // 90
         # As against the camera that the network was trained for, which may be turned itself.
@@ -219,8 +214,7 @@ class FrameLabeller:
         self.of(camera)[1].prepare()
 
     def restart(self, *, numbers: bool = True) -> None:
-        """Begin another recording: no labels of `video` and no turn are carried over. numbers: people's begin at 1."""
-        self._turns.cache_clear()
+        """Begin another recording: no labels of `video` are carried over. numbers: people's begin at 1."""
         if self.video is not None:
             self.video.restart(numbers=numbers)
 
@@ -245,16 +239,10 @@ class FrameLabeller:
 
     def _array(self, number: int, given: NDArray[np.float32] | Frame, camera: Any, where: str = "") -> Labelling:
         watch, frame = Stopwatch((_READ,)), given if isinstance(given, Frame) else None
-        with reported(where, BadConfig):
-            with watch(_READ):
-                range_m = given if not isinstance(given, Frame) else to_metres(given.read(), given.step_m)
-                lens, segmenter = self.of(camera)
-                ideal = range_m if lens is None else lens(metres_of(range_m, camera))
-            turns = self._turns(camera)
-            if self.tells_turn and turns.open:
-                self.judge(turns, ideal, segmenter.camera)
-                _, segmenter = self.of(camera)
-            turns.frames += 1
+        with reported(where, BadConfig), watch(_READ):
+            range_m = given if not isinstance(given, Frame) else to_metres(given.read(), given.step_m)
+            lens, segmenter = self.of(camera)
+            ideal = range_m if lens is None else lens(metres_of(range_m, camera))
         read_ms = watch.milliseconds[_READ]
         return partial(_label, where, segmenter, self.label_map, ideal, read_ms, number=number, frame=frame)
 
@@ -323,7 +311,7 @@ class LabelledRecording:
     ) -> None:
         self.labeller, self.frames, self.cameras, self._skipping = labeller, frames, cameras, skipping
         self._turns = _Turns()
-        labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
+        labeller.of(self.cameras.first.camera, self._turns)  # now, so that options that cannot be are refused
         if labeller.tells_turn:
             self._turns = self._judged()
 

@@ -152,18 +152,16 @@ def test_a_persons_labels_come_back_and_auto_finds_the_turn(tmp_path: Path) -> N
     assert (rows, columns) == expected["clean"].shape
 
 
-def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
-    """Blocks, of which the network is not sure, tell nothing; of a stream of them, few are judged after the first."""
+def test_auto_takes_no_thing_for_a_person_and_is_for_recordings(tmp_path: Path) -> None:
+    """Blocks, of which the network is not sure, tell nothing."""
     unsure = Trained(Places(0, 5, sure_m=0.5), {"rig": SMALL.to_json()})
     label = FrameLabeller(unsure, keep_things=True, turned="auto", device="cpu")
-    for frames in (1, 2):
-        assert label(standing(), UPRIGHT).bodies and label.quarters(UPRIGHT) == 0
-        assert (label._turns(UPRIGHT).frames, label._turns(UPRIGHT).judged) == (frames, 0)
-    judged: list[int] = []
-    label.judge = lambda turns, range_m, camera: judged.append(turns.frames)  # type: ignore[method-assign]
-    empty = np.full((60, 80), 4.0, np.float32)
-    assert len(list(label.stream([empty] * 70, UPRIGHT))) == 70
-    assert judged == [*range(32), 32, 48, 64]
+    (tmp_path / "a.png").write_bytes(png(np.rint(1000 * standing()).astype(np.uint16)))
+    opened = label.recording(tmp_path / "a.png", focal_px=UPRIGHT.focal_px)
+    assert opened.label(0).bodies and opened.turned_deg == 0
+    for labelled in (lambda: label(standing(), UPRIGHT), lambda: list(label.stream([standing()], UPRIGHT))):
+        with pytest.raises(BadConfig, match=r"^turned 'auto' is for recordings: other frames need their turn, like"):
+            labelled()
 
 
 class Upright(Places):
@@ -195,13 +193,11 @@ def test_auto_finds_the_turn_where_people_come_late(tmp_path: Path) -> None:
     late = np.rot90(leaning()).copy()
     frames = np.stack([np.full_like(late, 4000)] * 48 + [late] * 3)
     np.save(tmp_path / "a.npy", frames)
-    label, camera = sure_upright(), as_mounted(1)
-    assert label.recording(tmp_path / "a.npy", focal_px=camera.focal_px).turned_deg == 90
-    answers = list(label.stream((to_metres(frame, 0.001) for frame in frames), camera))
-    assert label.quarters(camera) == 1 and all(len(answer.bodies) == 1 for answer in answers[48:])
+    opened = sure_upright().recording(tmp_path / "a.npy", focal_px=as_mounted(1).focal_px)
+    assert opened.turned_deg == 90 and all(len(opened.label(number).bodies) == 1 for number in range(48, 51))
 
 
-def test_each_recording_and_stream_has_a_turn_of_its_own(tmp_path: Path) -> None:
+def test_each_recording_has_a_turn_of_its_own(tmp_path: Path) -> None:
     label = sure_upright()
     frames = {quarters: np.ascontiguousarray(np.rot90(leaning(), quarters)) for quarters in (0, 2)}
     opened = {}
@@ -212,10 +208,6 @@ def test_each_recording_and_stream_has_a_turn_of_its_own(tmp_path: Path) -> None
     (turned,) = list(opened[2])
     assert [each.turned_deg for each in opened.values()] == [0, 180]
     same_rows(np.rot90(turned.labels, 2), upright.labels)
-    for quarters, frame in frames.items():
-        (answer,) = label.stream([to_metres(frame, 1e-3)], UPRIGHT)
-        assert label.quarters(UPRIGHT) == quarters
-        same_rows(np.rot90(answer.labels, -quarters), upright.labels)
 
 
 def same_rows(labels: NDArray[np.uint8], others: NDArray[np.uint8]) -> None:
@@ -223,15 +215,6 @@ def same_rows(labels: NDArray[np.uint8], others: NDArray[np.uint8]) -> None:
     body = others < 255
     assert body.sum() > 400 and ((labels < 255) == body).all() and len(np.unique(others[body])) > 8
     assert np.abs(labels[body].astype(int) - others[body]).max() <= 1
-
-
-def test_each_camera_whose_frames_come_in_turns_has_a_turn_of_its_own() -> None:
-    label, frame = sure_upright(), to_metres(leaning(), 1e-3)
-    for _ in range(2):
-        upright = label(frame, UPRIGHT)
-        turned = label(seen_by(1, frame), as_mounted(1))
-    assert [label.quarters(each) for each in (UPRIGHT, as_mounted(1))] == [0, 1]
-    same_rows(np.rot90(turned.labels, -1), upright.labels)
 
 
 def test_a_turned_recording_is_told_of(
