@@ -36,7 +36,7 @@ def ball(
 
 
 @cache
-def figure(name: str = "figure") -> Mesh:
+def figure(name: str = "figure", subdivisions: int = 3) -> Mesh:
     """A plain upright figure of five separate closed parts, 1.7 m tall: trunk, head, an arm held in front, two legs."""
     parts = [
         (0.16, 0.30, 0.11, (0.0, 1.15, 0.0)),
@@ -47,7 +47,7 @@ def figure(name: str = "figure") -> Mesh:
     ]
     vertices, faces, count = [], [], 0
     for a, b, c, centre in parts:
-        points, triangles = icosphere(3, 1.0)
+        points, triangles = icosphere(subdivisions, 1.0)
         vertices.append(points * (a, b, c) + centre)
         faces.append(triangles + count)
         count += len(points)

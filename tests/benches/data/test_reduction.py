@@ -17,7 +17,8 @@ from small_rig import SMALL
 
 from bodyseg_data.bodies import SOURCES, Body, BodyRef
 
-BODY = Body(figure(), np.linspace(0, len(figure().vertices) - 1, 33).astype(np.int64))  # some on every piece
+COARSE = figure(subdivisions=2)
+BODY = Body(COARSE, np.linspace(0, len(COARSE.vertices) - 1, 33).astype(np.int64))  # some on every piece
 
 
 class PosedFigures(Figures):
@@ -42,10 +43,10 @@ def figures(pymeshlab: Any) -> dict[str, Any]:
         patch.setattr(benches, "load_rig", lambda: SMALL)
         patch.setattr(benches, "SHARES", (1.0, 0.5))
         patch.setattr(benches, "TOLERANCES_MM", (0.2,))
-        patch.setattr(benches, "EDGE_MM", 40)
+        patch.setattr(benches, "EDGE_MM", 100)
         patch.setattr(benches, "GROWN_MM", ())
-        patch.setattr(benches, "SCAN", 9000)
-        patch.setattr(benches, "HALF_A_SCAN", 8000)
+        patch.setattr(benches, "SCAN", 2400)
+        patch.setattr(benches, "HALF_A_SCAN", 2000)
         made = benches.bench_reduction(1, progress=lambda done, total: steps.append((done, total)))
     assert steps == [(done, 4) for done in range(1, 5)]
     return made
