@@ -193,8 +193,9 @@ def test_placed_landmarks_are_the_same_left_and_right(
     np.testing.assert_allclose(rest[mirror] * (-1, 1, 1), rest, atol=0.004)
 
 
-def test_landmarks_placed_by_a_persons_other_poses_are_theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    body = whole_body()
+def test_landmarks_placed_by_a_persons_other_poses_are_theirs(
+    body: FittingBody, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fit = known_fit(body, "t_pose", 1.0)
     mesh = Mesh("a", fitted_points(body, fit, body.whole)[0], body.mesh.faces)
     moved = mesh.vertices[annotations(body)]
