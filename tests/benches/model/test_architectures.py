@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import result_cache
 from benches.model.chosen import parameters
 from benches.model.networks import architectures as bench
 from benches.model.networks import architectures_runs, network_times
@@ -16,6 +17,7 @@ from benches.model.networks.architectures import bench_architectures
 from benches.model.networks.architectures_forest import ForestScale, fit_forest
 from benches.model.networks.architectures_runs import groups_in
 from benches.model.networks.network_times import LEAST_ROUNDS
+from same_code import names_alone
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data.core import BadConfig
@@ -43,6 +45,7 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(network_times, "MOST_ROUNDS", LEAST_ROUNDS)
     monkeypatch.setattr(network_times, "WARM_S", 0.0)
     monkeypatch.setattr(bench, "ForestScale", small_forest)
+    monkeypatch.setattr(result_cache, "code_digest", names_alone)
     shipped = tmp_path / "shipped.safetensors"
     save_network(shipped, build("compact", TINY, 9), "compact", {})
     monkeypatch.setattr(architectures_runs, "SHIPPED", shipped)
