@@ -39,6 +39,9 @@ _PHRASES: Final = {
 }
 """Name of a licence -> words of its text."""
 
+_LICENCE_FILE: Final = re.compile(r"[^/]+\.dist-info/(.+/)?(LICEN[CS]E|COPYING)[^/]*,")
+"""A line of what was installed."""
+
 _FAMILIES: Final = {
     "Apache": r"Apache",
     "BSD": r"BSD",
@@ -140,10 +143,11 @@ def _installed(name: str) -> tuple[Sequence[Requirement], Licensed]:
     except PackageNotFoundError:
         return (), Licensed(name, "not installed", "not installed")
     metadata: Any = found.metadata
-    files = sorted(file for file in found.files or () if re.match(r"LICEN[CS]E|COPYING", file.name))
-    text = next((file.read_text() for file in files if file.parts[0].endswith(".dist-info")), "")
+    listed = (found.read_text("RECORD") or "").splitlines()  # `files` makes an object of each of thousands
+    files = sorted(line.partition(",")[0] for line in listed if _LICENCE_FILE.match(line))
+    text = Path(str(found.locate_file(files[0]))).read_text(encoding="utf-8") if files else ""
     needs = [Requirement(each) for each in found.requires or ()]
-    return needs, Licensed(metadata["Name"], found.version, licence_of(metadata, text))
+    return needs, Licensed(metadata["Name"], metadata["Version"], licence_of(metadata, text))
 
 
 def _project() -> dict[str, Any]:
