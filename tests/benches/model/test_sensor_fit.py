@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,19 @@ from benches.model.sensor_fit.recordings import Scene
 from fakes import Figures
 from pictures import decoded, marks
 
+from bodyseg_data.rigs import load_rig
+
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Results for one figure, four cases and one scene."""
+    """Results for one figure, four cases and one scene, with a quarter of the pixels."""
+    rig = load_rig(bench.RIG)
+    small = replace(rig, camera=rig.camera.scaled(0.5), projector=rig.projector.scaled(0.5))
     names = ("nothing", "noise 3 mm", "noise 1 mm, steps of 8 mm", "shadow 0.2 m")
     chosen = [case for case in all_cases() if case.name in names]
     monkeypatch.setattr(bench, "all_cases", lambda: chosen)
     monkeypatch.setattr(bench, "SCENES", (Scene(4),))
+    monkeypatch.setattr(bench, "load_rig", lambda name: small)
     monkeypatch.setattr(bench, "open_source", lambda name: Figures())
     done: list[tuple[int, int]] = []
     answer = bench_sensor_fit(1, lambda *numbers: done.append(numbers))
