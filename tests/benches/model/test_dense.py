@@ -17,6 +17,7 @@ from bodyseg_data import RangeImages, load_template
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes.geodesics import nearest_sources
+from bodyseg_data.samples import ViewGrid
 from bodyseg_model.networks import build, save_network
 from bodyseg_model.networks.registry import Prediction
 
@@ -25,7 +26,8 @@ _HAND = 21  # label of the right one
 
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path], quick_geodesics: None) -> Path:
-    return pack_figures(tmp_path_factory.mktemp("mapped") / "set", template=True)
+    one_view = ViewGrid(span_deg=360, count=1)
+    return pack_figures(tmp_path_factory.mktemp("mapped") / "set", template=True, views=one_view)
 
 
 def test_distances_follow_the_surface() -> None:
