@@ -108,6 +108,10 @@ def chart_bytes(figure: Any, kind: Literal["png", "svg"], dpi: int) -> bytes:
     """Encode a matplotlib figure as PNG or SVG; equal figures give equal bytes under one version of matplotlib."""
     import matplotlib
 
+    if figure.get_layout_engine() is not None:  # with one, savefig would draw everything twice
+        figure.set_dpi(dpi)
+        figure.get_layout_engine().execute(figure)
+        figure.set_layout_engine(None)
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "bodyseg", "svg.fonttype": "path"}):
         figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
