@@ -18,7 +18,7 @@ from bodyseg_model.networks import Trained, build  # noqa: E402
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch, small_set: Path) -> None:
-    """Untrained networks, a small set in place of people's scans, and few rounds of times."""
+    """Untrained networks, a small set in place of people's scans, and one round of times."""
 
     def packed(bodies: Any, views: int, folder: Path) -> None:
         (folder / "set").symlink_to(small_set)
@@ -30,7 +30,7 @@ def small(monkeypatch: pytest.MonkeyPatch, small_set: Path) -> None:
     monkeypatch.setattr(shipped, "packed_views", packed)
     monkeypatch.setattr(shipped, "annotated_bodies", lambda people, poses: [])
     monkeypatch.setattr(shipped, "typical_frames", lambda count: [frame] * count)
-    monkeypatch.setattr(network_times, "BUDGET_S", 0.0)
+    monkeypatch.setattr(network_times, "MOST_ROUNDS", 1)
     monkeypatch.setattr(network_times, "WARM_S", 0.0)
     monkeypatch.setattr(shipped, "load_network", untrained)
 
