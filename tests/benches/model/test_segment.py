@@ -100,7 +100,7 @@ def test_the_bench_runs_every_way_and_draws(
     live_by_torch = {name: way for name, way in LIVE.items() if way[0] is None}
     assert len(live_by_torch) == len(LIVE) - 1
     monkeypatch.setattr(bench, "LIVE", live_by_torch)
-    lens = Camera(120, 160, 131.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    lens = Camera(60, 80, 65.5, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     assert [(camera.rows, camera.columns) for camera in cameras().values()] == [(480, 640), (1024, 1024)]
     monkeypatch.setattr(bench, "cameras", lambda: {"small": lens})
     monkeypatch.setattr(bench, "ROUNDS", 1)
