@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from benches.data.surface import interpenetration
 from benches.data.surface.interpenetration import bench_interpenetration, groups_to_measure, penetration
 
 from bodyseg_data.bodies.sources.hard import HardBodies
@@ -59,7 +60,8 @@ def open_bodies() -> OpenBodies:
 def test_the_bench_reports_every_group(monkeypatch: pytest.MonkeyPatch, open_bodies: OpenBodies) -> None:
     groups = groups_to_measure(open_bodies, HardBodies(), 5)
     few = {name: (groups[name][0], groups[name][1][:1]) for name in ("A", "B squat")}
-    monkeypatch.setattr("benches.data.surface.interpenetration.groups_to_measure", lambda *_: few)
+    monkeypatch.setattr(interpenetration, "groups_to_measure", lambda *_: few)
+    monkeypatch.setattr(interpenetration, "_SOURCE_STEP", 400)
     steps: list[tuple[int, int]] = []
     figures = bench_interpenetration(progress=lambda done, total: steps.append((done, total)))
     assert set(figures["groups"]) == {"A", "B squat"} and figures["bodies"] == 2 and figures["views"] == 5

@@ -5,24 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
+from benches.data.surface import interpenetration
 from benches.model.failures import everyday
 from benches.model.failures.everyday import bench_everyday
 
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.bodies.sources.open_bodies import WideBodies
+from bodyseg_data.bodies.sources.hard import HardBodies
+from bodyseg_data.bodies.sources.open_bodies import MadeBodies, WideBodies
 
 
-class FewWideBodies(WideBodies):
-    """One in a hundred of the bodies: posing all of them takes most of the time."""
+def few(source: type[MadeBodies], step: int) -> type[MadeBodies]:
+    """The source with fewer bodies: posing all of them takes most of the time."""
 
-    def bodies(self) -> Sequence[BodyRef]:
-        return super().bodies()[::100]
+    class Few(source):  # type: ignore[misc,valid-type]
+        def bodies(self) -> Sequence[BodyRef]:
+            return super().bodies()[::step]
+
+    return Few
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 def test_the_figures_are_those_of_the_bodies_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     for package in ("anny", "embreex"):
         pytest.importorskip(package)
-    monkeypatch.setattr(everyday, "WideBodies", FewWideBodies)
+    monkeypatch.setattr(everyday, "WideBodies", few(WideBodies, 100))
+    monkeypatch.setattr(everyday, "HardBodies", few(HardBodies, 5))
+    monkeypatch.setattr(interpenetration, "_SOURCE_STEP", 400)
     steps: list[tuple[int, int]] = []
     figures = bench_everyday(2, lambda done, total: steps.append((done, total)))
     assert steps == [(1, 2), (2, 2)]
