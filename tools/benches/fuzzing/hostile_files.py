@@ -296,6 +296,7 @@ def _rig_text() -> str:
     return (resources.files("bodyseg_data.rigs") / "paper.toml").read_text(encoding="utf-8")
 
 
+@lru_cache(maxsize=1)
 def column_set() -> Manifest:
     """The set that hostile columns are of."""
     return Manifest((load_rig(),), "bsi", "open", "raster", "0" * 64, _records())
