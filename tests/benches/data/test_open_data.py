@@ -45,7 +45,7 @@ def test_writing_bytes_and_loaders_are_measured(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(open_data, "ROUNDS", 1)
     monkeypatch.setattr(open_data, "BATCH", 2)
     steps: list[tuple[int, int]] = []
-    found = open_data.bench_open_data(8, (0, 1), lambda done, total: steps.append((done, total)))
+    found = open_data.bench_open_data(8, (0,), lambda done, total: steps.append((done, total)))
     assert steps == [(done, 6) for done in range(1, 7)]
     json.dumps(found)
     assert found["image"] == [16, 20]
@@ -57,8 +57,8 @@ def test_writing_bytes_and_loaders_are_measured(monkeypatch: pytest.MonkeyPatch)
     assert found["writing"]["none"]["bytes"] <= found["writing"]["exact"]["bytes"]
     assert set(found["artifacts_ms"]) == {"none", "occ", "noise", "md", "all"}
     rates = found["samples_per_second"]
-    assert rates["ours_all"].keys() == rates["webdataset_raw"].keys() == {"0", "1"}
-    assert found["processor_ms_per_sample"]["ours_all"].keys() == {"0", "1"}
+    assert rates["ours_all"].keys() == rates["webdataset_raw"].keys() == {"0"}
+    assert found["processor_ms_per_sample"]["ours_all"].keys() == {"0"}
     assert found["ours_all_over"]["webdataset_png"]["0"] > 0
     assert found["bytes_per_sample"]["memory"] == 16 * 20 * 5
     assert all(found["bytes_per_sample"][name] is None and rates[name]["0"] is None for name in found["missing"])
