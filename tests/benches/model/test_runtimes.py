@@ -22,6 +22,7 @@ def test_every_backend_is_timed_and_scored(small_set: Path, tmp_path: Path, monk
     frame[10:60, 10:40] = np.linspace(2, 3, 30, dtype=np.float32)
     monkeypatch.setattr(bench, "typical_frames", lambda views: [frame] * views)
     monkeypatch.setattr(bench, "ROUNDS", 1)
+    monkeypatch.setattr(bench, "processors", lambda: 1)
     monkeypatch.setattr(bench, "example_set", lambda: str(small_set))  # to calibrate 8 bits on
     monkeypatch.setattr(network_times, "WARM_S", 0.0)
     monkeypatch.setattr(bench, "build", lambda name, seed: build(name, {"width": 1 / 16}, seed))
