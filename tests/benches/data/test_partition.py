@@ -89,7 +89,7 @@ def figures() -> dict[str, Any]:
         patch.setattr(bench, "MIT_FRAMES", 1)
         patch.setattr(bench, "REPEATS", 1)
         cases = {"doubled faces": CASES["doubled faces"], "scan of 200 000 triangles": scan}
-        patch.setattr(scan, "__defaults__", (8000, 0.0003))
+        patch.setattr(scan, "__defaults__", (3000, 0.0003))
         patch.setattr(bench, "CASES", cases)
         seen: list[tuple[int, int]] = []
         measured = bench_partition(Path("frames"), lambda done, total: seen.append((done, total)))
