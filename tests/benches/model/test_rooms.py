@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import measuring
 from benches.model.rooms import bench, limits
 from benches.model.rooms.bench import WAYS, bench_rooms
 from benches.model.rooms.figure import draw_rooms
@@ -224,7 +225,7 @@ def test_the_bench_measures_every_way_and_draws(
     assert set(figures["mirrored"]) == {"compact", "large"}
     assert all(0 <= ways["mask"]["mirror"] <= 1 for ways in figures["mirrored"].values())
     assert 0 < len(figures.shown) <= 10
-    draw_rooms(figures, tmp_path / "rooms.png")
+    draw_rooms(measuring.Figures(figures, figures.shown[:2]), tmp_path / "rooms.png")
     with Image.open(tmp_path / "rooms.png") as picture:
         assert picture.width > 1000
 
