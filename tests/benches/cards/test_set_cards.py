@@ -23,6 +23,7 @@ from bodyseg_data import ColumnWriter, RangeImages, ShardWriter
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import classes_of
+from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.transfer.transfers import CARD_NAMES
@@ -59,7 +60,8 @@ def described(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.fixture(scope="module")
 def pictures(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A set whose images are PNGs, without cards."""
-    return pack_figures(tmp_path_factory.mktemp("pictures") / "pictures", codec="png")
+    one_view = ViewGrid(span_deg=360, count=1)
+    return pack_figures(tmp_path_factory.mktemp("pictures") / "pictures", codec="png", views=one_view)
 
 
 @pytest.fixture(scope="module")
