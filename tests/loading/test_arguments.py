@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-import warm
 
 from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.artifacts import Augmentation
@@ -60,11 +60,11 @@ def test_a_folder_may_be_called_anything(name: str, figures_set: Path, tmp_path:
 
 
 def test_a_program_may_change_its_folder(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spawned workers start in the folder in which the program was started."""
+    """Workers that are no forks start in the folder in which the program was started."""
     monkeypatch.chdir(figures_set.parent)
     images = RangeImages(figures_set.name, "none", split="test")
     monkeypatch.chdir("/")
-    batches = loader(images, 4, num_workers=1, worker_method="process", start_method="spawn")
+    batches = loader(images, 4, num_workers=1, worker_method="process", start_method="forkserver")
     assert images.path == figures_set.name
     assert sum(len(batch["key"]) for batch in batches) == len(images)
 
@@ -187,34 +187,36 @@ def test_workers_that_cannot_start(images: RangeImages, monkeypatch: pytest.Monk
     assert _open_files() == before
 
 
-def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def main_module(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """An empty module in the place of that which Python was started with: workers that are no forks import its file."""
+    module = ModuleType("__main__")
+    monkeypatch.setitem(sys.modules, "__main__", module)
+    return module
+
+
+BEGINNING = """
+from bodyseg_data import RangeImages, loader
+options = {"num_workers": 1, "worker_method": "process", "start_method": "forkserver"}
+"""
+
+
+def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path, main_module: ModuleType) -> None:
     script = tmp_path / "script.py"
-    script.write_text(
-        "import sys\n"
-        "from bodyseg_data import RangeImages, loader\n"
-        "images = RangeImages(sys.argv[1], 'none')\n"
-        "list(loader(images, 4, num_workers=1, worker_method='process', start_method='spawn'))\n"
-    )
-    done = warm.run([str(script), str(figures_set)], timeout=120)
-    assert done.returncode == 1
-    assert 'needs `if __name__ == "__main__":` with this start method' in done.stderr.splitlines()[-1]
+    script.write_text(f"{BEGINNING}list(loader(RangeImages({str(figures_set)!r}, 'none'), 4, **options))\n")
+    main_module.__file__ = str(script)
+    with pytest.raises(WorkerLost, match='needs `if __name__ == "__main__":` with this start method'):
+        exec(script.read_text(), vars(main_module))
 
 
-def test_a_transform_of_a_cell_is_said_to_be_one(figures_set: Path) -> None:
-    """As in a notebook, there is no file that a spawned worker could import the transform from."""
-    cell = (
-        "import sys\n"
-        "from bodyseg_data import RangeImages, loader\n"
-        "def mine(image):\n"
-        "    return image\n"
-        "images = RangeImages(sys.argv[1], 'none', transform=mine)\n"
-        "list(loader(images, 4, num_workers=1, worker_method='process', start_method='spawn'))\n"
-    )
-    done = warm.run(["-c", cell, str(figures_set)], timeout=120)
-    assert done.returncode == 1
-    assert re.search(r"the images cannot be unpickled in a worker: AttributeError: .*'mine'", done.stderr)
-    assert "must be in a module, not in a function, a notebook's cell" in done.stderr
-    assert "__name__ ==" not in done.stderr
+def test_a_transform_of_a_cell_is_said_to_be_one(figures_set: Path, main_module: ModuleType) -> None:
+    """As in a notebook, there is no file that a worker could import the transform from."""
+    exec(f"{BEGINNING}def mine(image):\n    return image\n", vars(main_module))
+    images = RangeImages(figures_set, "none", transform=main_module.mine)
+    message = r"cannot be unpickled in a worker: AttributeError: .*'mine'.* must be in a module, .*, a notebook's cell"
+    with pytest.raises(WorkerLost, match=message) as caught:
+        list(loader(images, 4, **main_module.options))
+    assert "__name__ ==" not in str(caught.value)
 
 
 @pytest.mark.parametrize("start_method", ["spawn", "forkserver"])
