@@ -86,7 +86,7 @@ def check_picture(path: Path, option: str = "--out") -> None:
 def save_picture(picture: Image.Image, path: Path) -> None:
     """Write a picture as PNG, atomically. Raises BadConfig if it cannot be written."""
     buffer = io.BytesIO()
-    picture.save(buffer, "PNG", optimize=True)
+    picture.save(buffer, "PNG")
     write_result(path, buffer.getvalue())
 
 
