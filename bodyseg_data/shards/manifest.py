@@ -264,10 +264,10 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
 
 
 def _rigs(trees: Any, path: str) -> tuple[Rig, ...]:
-    if not isinstance(trees, list) or not trees:
+    if not isinstance(trees, list) or not 0 < len(trees) <= MOST_RIGS:
         raise BadShard(f"{path}: 'rigs' must be a list of 1 to {MOST_RIGS}")
     with reported(path, BadShard, BadConfig):
-        rigs = tuple(map(rig_from_json, trees[: MOST_RIGS + 1]))
+        rigs = tuple(map(rig_from_json, trees))
     check_rigs(rigs, path)
     return rigs
 

@@ -234,7 +234,7 @@ def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any
         (_with(lambda tree: tree.update(planes={"A": "uint8"})), "a plane has a lower-case name"),
         (_with(lambda tree: tree.update(planes={"a": "int8"})), "the plane 'a' must be of the type uint8 or uint16"),
         (_with(lambda tree: tree.update(rigs=[])), "'rigs' must be a list of 1 to 4096"),
-        (_with(lambda tree: tree.update(rigs=tree["rigs"] * 4097)), "a set has at most 4096 rigs"),
+        (_with(lambda tree: tree.update(rigs=tree["rigs"] * 4097)), "'rigs' must be a list of 1 to 4096"),
         (
             _with(lambda tree: tree["rigs"].append(tree["rigs"][0])),
             "with 2 rigs must have the field 'rig', a whole number",
