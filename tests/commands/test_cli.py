@@ -429,7 +429,7 @@ def test_inspect_counts_and_draws_classes(
     words = ["inspect", str(figures_set), "--variant", "none", "--json"]
     assert main(words) == 0
     parts = json.loads(capsys.readouterr().out)["class_shares"]
-    assert main([*words, "--labels", "limbs14", "--out", str(tmp_path / "sheet.png")]) == 0
+    assert main([*words, "--labels", "limbs14", "--rows", "1", "--out", str(tmp_path / "sheet.png")]) == 0
     shares = json.loads(capsys.readouterr().out)["class_shares"]
     limbs = load_label_map("limbs14")
     assert list(shares) == list(limbs.names)
@@ -461,9 +461,9 @@ def test_inspect_counts_what_a_set_holds(figures_set: Path, variant: str, capsys
         assert 30 < counts["mean_sigma_mm"] < 70
 
 
-def test_inspect_draws_a_contact_sheet(paper_set: Path, tmp_path: Path) -> None:
+def test_inspect_draws_a_contact_sheet(small_set: Path, tmp_path: Path) -> None:
     out = tmp_path / "sheet.png"
-    assert main(["inspect", str(paper_set), "--variant", "occ", "--rows", "2", "--out", str(out)]) == 0
+    assert main(["inspect", str(small_set), "--variant", "occ", "--rows", "2", "--out", str(out)]) == 0
     with Image.open(out) as sheet:
         assert sheet.width > 1400
         assert sheet.height > 2 * 320

@@ -58,16 +58,16 @@ def words_of_bodies(text: str) -> list[str]:
 
 def test_inspect_names_classes_fields_planes_and_rigs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sheet = folder / "sheet.png"
-    assert main(["inspect", str(folder / "cells"), "--json", "--out", str(sheet)]) == 0
+    assert main(["inspect", str(folder / "cells"), "--json", "--rows", "1", "--out", str(sheet)]) == 0
     told = json.loads(capsys.readouterr().out)
     assert tuple(told["class_shares"]) == NAMES and told["classes"] == "robot cell"
     assert told["rigs"] == 2 and told["planes"] == {"instances": "uint16", "material": "uint8"}
     assert told["fields"]["cell"] == {"c0": 4, "c1": 4, "c2": 4}
     assert sum(told["fields"]["height_m"].values()) == 12
     dark = folder / "dark.png"
-    assert main(["inspect", str(folder / "dark"), "--variant", "none", "--out", str(dark)]) == 0
+    assert main(["inspect", str(folder / "dark"), "--variant", "none", "--rows", "1", "--out", str(dark)]) == 0
     lit = folder / "lit.png"
-    assert main(["inspect", str(folder / "dark"), "--occluder", "camera", "--out", str(lit)]) == 0
+    assert main(["inspect", str(folder / "dark"), "--occluder", "camera", "--rows", "1", "--out", str(lit)]) == 0
     widths = [pixels_of(path).shape[1] for path in (sheet, dark, lit)]
     assert widths[0] == widths[2] > widths[1]  # without what the projector sees, and the two variants with shadows
 
