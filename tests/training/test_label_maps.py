@@ -29,16 +29,16 @@ def test_classes_are_learned(small_set: Path, tmp_path: Path) -> None:
     images = RangeImages(small_set, "none", "train", labels=halves)
     recipe = recipe_for(
         "compact",
-        steps=60,
-        batch_size=8,
+        steps=30,
+        batch_size=4,
         learning_rate=6e-3,
         bf16=False,
         geometric_augmentation=GeometricAugmentation(),
     )
-    network = build("compact", {"patch": 4, "widths": [16, 24], "blocks": [1, 1], "classes": 2}, seed=3)
+    network = build("compact", {"patch": 8, "widths": [16, 24], "blocks": [1, 1], "classes": 2}, seed=3)
     said: list[Metrics] = []
     training = Training(
-        network, "compact", images, recipe, RunFolder(tmp_path / "run"), ONE, run_options=RunOptions(20, 1000, 0)
+        network, "compact", images, recipe, RunFolder(tmp_path / "run"), ONE, run_options=RunOptions(10, 1000, 0)
     )
     training.run(False, said.append, {})
     trained = load_network(tmp_path / "run")

@@ -18,7 +18,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import NOWHERE, PARTS33
 from bodyseg_model.commands import main
 from bodyseg_model.networks import UNIT_M, build, load_network, place_table
-from bodyseg_model.training import GeometricAugmentation
+from bodyseg_model.training import GeometricAugmentation, RunOptions
 from bodyseg_model.training.augmentation import augmented, mirror_draws, signed_numbers
 from bodyseg_model.training.loss import PLACE_WEIGHT, NetworkWithLoss
 
@@ -91,7 +91,7 @@ def test_the_loss_adds_the_errors_of_known_places() -> None:
 
 def test_a_training_learns_places_and_its_network_gives_the_scores_alone_as_well(mapped: Path, tmp_path: Path) -> None:
     images = RangeImages(mapped, "all", "train", planes=["template"])
-    said = train(mapped, tmp_path / "run", settings=ON_TEMPLATE, images=images, steps=90)
+    said = train(mapped, tmp_path / "run", settings=ON_TEMPLATE, images=images, steps=90, options=RunOptions(1, 90, 0))
     off = [each.off_mm for each in said if each.off_mm is not None]
     assert len(off) == 90 and np.mean(off[-10:]) < 0.75 * np.mean(off[:5])
     assert log(tmp_path / "run")[-1]["off_mm"] == off[-1]
