@@ -31,7 +31,7 @@ from bodyseg_data.meshes import partitioning as surface_parts
 from bodyseg_data.meshes.geodesics import nearest_sources
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.jobs import Engine
-from bodyseg_data.rigs import load_rig
+from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import ViewGrid
 
 # Processes of a fork server, the way of multiprocessing's three that tests choose unless they are about another one,
@@ -168,6 +168,16 @@ def near_is_person(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for module in (finder, frame_labeller, segmenter):
         monkeypatch.setattr(module, "shipped_finder", lambda: Trained(Nearer(), {"weights_sha256": "1"}))
+
+
+@pytest.fixture
+def prepared(monkeypatch: pytest.MonkeyPatch) -> list[Rig]:
+    """Rigs that segmenters were prepared for, whose usual views are left out: they take longer than a few frames."""
+    from bodyseg_model.segmentation import segmenter
+
+    rigs: list[Rig] = []
+    monkeypatch.setattr(segmenter, "usual_views", lambda rig, together: rigs.append(rig) or [])
+    return rigs
 
 
 @pytest.fixture(scope="session")

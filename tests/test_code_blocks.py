@@ -22,6 +22,7 @@ from bodyseg_data.artifacts import load_sensor_model
 from bodyseg_data.commands.cli import load_command
 from bodyseg_data.commands.options import parse
 from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Rig
 from bodyseg_model.commands import main as bodyseg_main
 from bodyseg_model.commands.cli import COMMANDS
 
@@ -51,7 +52,7 @@ SMALLER: Final = {
     "range(90)": "range(2)",
     "batches.epoch, 90": "batches.epoch, 2",
     '"shards", "all"), 500': '"shards", "all"), 2',
-    "steps=2000": "steps=1, batch_size=1",
+    "steps=2000": "steps=1, batch_size=1, bf16=False",
     "noise_mm=40), 500": "noise_mm=40), 2",
     'total(["A", "B"])': 'total(["A"])',
     "iter(images)\n": "iter([images[0]])\n",
@@ -101,7 +102,7 @@ def examples(document: Path) -> list[str]:
 
 
 @pytest.fixture
-def workplace(paper_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def workplace(paper_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prepared: list[Rig]) -> Path:
     """A folder with all that the documents' code reads, as the current one."""
     for name in ("shards", "my-camera", "my-shards"):
         (tmp_path / name).symlink_to(paper_set)

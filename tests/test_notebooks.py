@@ -14,7 +14,7 @@ from nbformat import v4
 
 NOTEBOOKS: Final = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
-SHORT: Final = {"STEPS": 2, "BATCH_SIZE": 2, "TEST_IMAGES": 2}
+SHORT: Final = {"STEPS": 1, "BATCH_SIZE": 1, "TEST_IMAGES": 1}
 """Parameters that make a training short."""
 
 

@@ -43,7 +43,7 @@ def coarser(rig: str) -> str:
     return rig
 
 
-@pytest.mark.usefixtures("packing_here")
+@pytest.mark.usefixtures("packing_here", "prepared")
 def test_the_tutorial_runs_from_a_recording_to_labels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,6 +18,7 @@ from small_rig import SMALL
 from bodyseg_data import ColumnWriter, RangeImages, ShardWriter
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelClass, load_label_map
+from bodyseg_data.rigs import Rig
 from bodyseg_model import runtimes
 from bodyseg_model.commands import cli
 from bodyseg_model.commands.export_labels import DENSE_POSE, LabelImage, compressed, segments
@@ -218,7 +219,9 @@ def standing(*at: tuple[int, int, int, int]) -> NDArray[np.uint16]:
 
 
 @pytest.fixture
-def labelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: None) -> Iterator[tuple[Path, Path]]:
+def labelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: None, prepared: list[Rig]
+) -> Iterator[tuple[Path, Path]]:
     """Frames, and the folder that `bodyseg segment` wrote of them: two people, and nobody."""
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
     trained = Trained(Places(axis=0, step=5), {"network": "places", "rig": SMALL.to_json()})

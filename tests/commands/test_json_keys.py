@@ -64,6 +64,7 @@ def network(monkeypatch: pytest.MonkeyPatch, near_is_person: None) -> None:
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
 
 
+@pytest.mark.usefixtures("prepared")
 def test_the_keys_of_a_summary_are_those_documented(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stack = np.full((3, 60, 80), 4000, np.uint16)
     stack[:, 10:50, 20:32] = 2000

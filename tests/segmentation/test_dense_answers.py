@@ -174,6 +174,7 @@ def test_the_network_that_ships_knows_places() -> None:
     assert np.array_equal(FrameLabeller(background=KEEP)(standing(), LENS).labels, answer.labels)
 
 
+@pytest.mark.usefixtures("prepared")
 def test_the_command_writes_an_image_of_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_network(tmp_path / "network.safetensors", network(), "compact", {})
     frames = tmp_path / "frames"

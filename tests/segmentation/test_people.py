@@ -16,7 +16,7 @@ from bodyseg_model.commands import cli
 from bodyseg_model.networks import load_network
 from bodyseg_model.segmentation.segmenter import least_confidence_of_people
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "prepared")
 
 
 def run(*words: str | Path) -> None:

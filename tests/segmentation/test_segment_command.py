@@ -23,7 +23,7 @@ from small_rig import SMALL
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES, PARTS33, LabelMap, load_label_map
-from bodyseg_data.rigs import load_sensor
+from bodyseg_data.rigs import Rig, load_sensor
 from bodyseg_model import runtimes
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained, build, save_network
@@ -31,9 +31,9 @@ from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.runtimes import backends, load_network
 from bodyseg_model.segmentation import FrameLabeller, Segmenter, view_body
-from bodyseg_model.segmentation.views import Undistortion, usual_views
+from bodyseg_model.segmentation.views import STEP, Undistortion
 
-pytestmark = pytest.mark.usefixtures("near_is_person")
+pytestmark = pytest.mark.usefixtures("near_is_person", "prepared")
 
 Frame = NDArray[np.uint16]
 
@@ -194,7 +194,7 @@ def test_a_unit_and_a_rig_may_be_given(tmp_path: Path, network: Places) -> None:
     (body,) = report(tmp_path / "out")["each"][0]["bodies"]
     assert (body["pixels"], body["box"]) == (30300, [100, 114, 400, 215])
     assert (body["range_m"], body["turn_deg"], body["scale"]) == (2.5, 0.0, 0.25)
-    assert tuple(network.seen[0].shape) == (1, 1, 160, 82)
+    assert [tuple(view.shape) for view in network.seen] == [(1, 1, 160, 82 + STEP)]
 
 
 def test_a_run_may_be_given(recording: Path, tmp_path: Path) -> None:
@@ -465,19 +465,20 @@ def test_an_interruption_leaves_the_frames_before_it_and_a_repetition_replaces_t
     recording: Path,
     tmp_path: Path,
     network: Places,
+    prepared: list[Rig],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out, label = tmp_path / "out", network.scores
-    before = sum(1 for _ in usual_views(SMALL, network.together))
 
     def interrupted(range_m: torch.Tensor) -> torch.Tensor:
-        if len(network.seen) == before + 3:
+        if len(network.seen) == 3:
             raise KeyboardInterrupt
         return label(range_m)
 
     monkeypatch.setattr(network, "scores", interrupted)
     assert run(recording, "--focal", "100", "--out", out) == 130
+    assert prepared == [SMALL]
     assert sorted(path.name for path in (out / "labels").iterdir()) == ["7.png", "8.png", "9.png"]
     assert (out / "unfinished.json").exists() and not (out / "summary.json").exists()
     assert capsys.readouterr().err.splitlines()[-1] == "bodyseg segment: interrupted"

@@ -20,6 +20,7 @@ from small_rig import SMALL
 
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Rig
 from bodyseg_model import runtimes
 from bodyseg_model.commands import cli
 from bodyseg_model.networks import Trained
@@ -38,7 +39,7 @@ STACK = np.stack([standing(2 * number) for number in range(7, 12)])
 
 
 @pytest.fixture(autouse=True)
-def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def network(monkeypatch: pytest.MonkeyPatch, prepared: list[Rig]) -> Iterator[None]:
     places, card = Places(axis=0, step=5), {"network": "places", "seed": 3, "rig": SMALL.to_json()}
     monkeypatch.setattr(
         runtimes,

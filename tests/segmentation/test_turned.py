@@ -29,7 +29,7 @@ UPRIGHT = Camera(60, 80, 100.0, (37.0, 31.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 TURNS = (1, 2, 3)
 
 
-pytestmark = pytest.mark.usefixtures("one_thread", "near_is_person")
+pytestmark = pytest.mark.usefixtures("one_thread", "near_is_person", "prepared")
 
 
 def as_mounted(quarters: int, camera: Camera = UPRIGHT) -> Camera:

@@ -15,7 +15,7 @@ from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import find_frames
-from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, segmenter
+from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame
 from bodyseg_model.viewing import RecordingView
 from bodyseg_model.viewing.pictures import legible
 from bodyseg_model.viewing.recording_view import CONFIDENCE_LEGEND, FLICKER_LEGEND, ShownFrame, body_range, changes_of
@@ -140,11 +140,7 @@ def test_confidence_and_flicker_are_drawn_of_bodies_alone_below_the_whole_frame(
     assert whole.shape[1] == picture.shape[1]
 
 
-def test_the_first_frame_is_timed_without_what_is_loaded_before_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    prepared: list[Rig] = []
-    monkeypatch.setattr(segmenter, "usual_views", lambda rig, together: prepared.append(rig) or [])
+def test_the_first_frame_is_timed_without_what_is_loaded_before_it(tmp_path: Path, prepared: list[Rig]) -> None:
     view = view_of(tmp_path, frame(10), frame(12))
     view.draw(ShownFrame(1))
     assert len(prepared) == 1, "once a camera"
