@@ -49,7 +49,7 @@ def install(
 
 
 def test_every_step_is_a_line_with_its_progress(python: Path) -> None:
-    done = install(python, "demo", pause_s=0.25)
+    done = install(python, "demo", pause_s=0.15)
     assert done.returncode == 0, done.stderr
     steps = [line for line in done.stdout.splitlines() if not line.startswith("    ")]
     firsts = [step.removeprefix("install: ").split()[0].partition("==")[0] for step in steps]

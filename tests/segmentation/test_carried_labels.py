@@ -343,10 +343,10 @@ def test_cells_of_a_slanted_board_have_its_normal_and_their_neighbours() -> None
     shown[:100, :130] = True
     cells, lens = cells_of(CarriedLabels(), np.where(shown, range_m, 0).astype(np.float32))
     rows, columns = np.divmod(np.flatnonzero(cells.grid >= 0), lens.across)
-    places = list(zip(rows.tolist(), columns.tolist(), strict=True))
-    for number, (row, column) in enumerate(places):
+    places = {place: number for number, place in enumerate(zip(rows.tolist(), columns.tolist(), strict=True))}
+    for (row, column), number in places.items():
         beside = (row, column - 1), (row, column + 1), (row - 1, column), (row + 1, column)
-        found = [places.index(each) if each in places else number for each in beside]
+        found = [places.get(each, number) for each in beside]
         jumps = [abs(cells.points[each, 2] - cells.points[number, 2]) > 0.15 for each in found]
         expected = [number if jump else each for each, jump in zip(found, jumps, strict=True)]
         assert cells.neighbours[number].tolist() == expected
