@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import Any, Final, Self
 
 import numpy as np
@@ -131,7 +132,8 @@ KNUCKLES: Final = _unit(0.385, -0.418, -0.823)
 _ELBOW_AXIS: Final = _unit(*np.cross(_UPPER_ARM, _FOREARM))
 _ELBOW_AT_REST: Final = math.degrees(math.acos(float(_UPPER_ARM @ _FOREARM)))
 _THIGH: Final = _unit(0.079, -0.994, 0.080)
-_X, _Y, _Z = np.eye(3)
+_IDENTITY: Final = np.eye(3)
+_X, _Y, _Z = _IDENTITY
 _MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
 
 _SPINE: Final = {"spine05": 0.15, "spine04": 0.2, "spine03": 0.25, "spine02": 0.25, "spine01": 0.15}
@@ -170,15 +172,12 @@ def root_rotation(trunk: Trunk) -> Matrix:
 
 def arm_rotations(arm: Arm) -> dict[str, Matrix]:
     """Return rotations [3, 3] of the bones of a left arm without its fingers, by name without the side."""
-    hanging = _turn(_Z, -math.degrees(math.atan2(_UPPER_ARM[0], -_UPPER_ARM[1])))
-    whole = _turn(_X, -arm.flex) @ _turn(_Z, arm.abduct) @ _turn(_Y, arm.twist) @ hanging
+    whole, swing, half = _thrown(True, arm.flex, arm.abduct, arm.twist)
     way = whole @ _UPPER_ARM
     # A raised arm lifts the shoulder and one reaching forward pulls it along, as the shoulder blade does.
     raised = max(0.0, math.degrees(math.acos(float(np.clip(-way[1], -1, 1)))) - 40)
     clavicle = _turn(_Y, -12 * float(way[2])) @ _turn(_Z, 0.12 * raised)
     shoulder = _turn(_Z, 0.15 * raised)
-    swing, twist = _swing_and_twist(whole, _UPPER_ARM)
-    half = _turn(_UPPER_ARM, twist / 2)  # spread, or the skin would wring at the shoulder
     third = _turn(-_FOREARM, arm.supinate / 3)
     return {
         "clavicle": clavicle,
@@ -203,13 +202,21 @@ def finger_rotations(arm: Arm) -> dict[str, Matrix]:
 
 def leg_rotations(leg: Leg, root: Matrix) -> dict[str, Matrix]:
     """Return rotations [3, 3] of the bones of a left leg, by name without the side, below a pelvis turned by `root`."""
-    whole = _turn(_X, -leg.flex) @ _turn(_Z, leg.abduct) @ _turn(_Y, leg.twist)
-    swing, twist = _swing_and_twist(whole, _THIGH)
-    half = _turn(_THIGH, twist / 2)
+    whole, swing, half = _thrown(False, leg.flex, leg.abduct, leg.twist)
     knee = _turn(_X, leg.knee)
     foot = _part_of(_levelling(root @ whole @ knee), leg.planted) @ _turn(_X, leg.ankle)
     rotations = {"upperleg01": swing @ half, "upperleg02": half, "lowerleg01": knee, "foot": foot}
     return rotations | dict.fromkeys([f"toe{toe}-1" for toe in (1, 2, 3, 4, 5)], _turn(_X, -leg.toes))
+
+
+@lru_cache(maxsize=8)  # a search for angles of a limb asks for many others at the same ones of these
+def _thrown(arm: bool, flex: float, abduct: float, twist: float) -> tuple[Matrix, Matrix, Matrix]:
+    """Return a left upper arm's or thigh's rotation, its swing and half of its twist [3, 3], which nobody changes."""
+    whole, along = _turn(_X, -flex) @ _turn(_Z, abduct) @ _turn(_Y, twist), _THIGH
+    if arm:
+        whole, along = whole @ _turn(_Z, -math.degrees(math.atan2(_UPPER_ARM[0], -_UPPER_ARM[1]))), _UPPER_ARM
+    swing, about_limb = _swing_and_twist(whole, along)
+    return whole, swing, _turn(along, about_limb / 2)  # spread, or the skin would wring at the shoulder
 
 
 def _levelling(shin: Matrix) -> Matrix:
@@ -269,19 +276,19 @@ class RigidMotion:
 
 def from_rotation_vector(vector: Matrix) -> Matrix:
     """Return the rotation [3, 3] about a vector [3] by its length in radians (Rodrigues' formula)."""
-    angle = float(np.linalg.norm(vector))
+    angle = math.sqrt(vector @ vector)
     if angle < 1e-12:
         return np.eye(3)
-    x, y, z = vector / angle
+    x, y, z = (vector / angle).tolist()
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rotation: Matrix = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
+    rotation: Matrix = _IDENTITY + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
     return rotation
 
 
 def _rotation_vector(rotation: Matrix) -> Matrix:
     """Return axis times angle in radians, for rotations of less than half a revolution."""
     skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    length = float(np.linalg.norm(skew))
+    length = math.sqrt(skew @ skew)
     if length < 1e-12:
         return np.zeros(3)
     return skew / length * math.atan2(length, float(np.trace(rotation)) - 1)
@@ -294,8 +301,8 @@ def _part_of(rotation: Matrix, share: float) -> Matrix:
 def _swing_and_twist(rotation: Matrix, axis: Matrix) -> tuple[Matrix, float]:
     """Split the rotation of a limb along `axis` into the shortest swing [3, 3] @ a twist about the limb (degrees)."""
     way = rotation @ axis
-    across = np.cross(axis, way)
-    sine = float(np.linalg.norm(across))
+    across = axis[[1, 2, 0]] * way[[2, 0, 1]] - axis[[2, 0, 1]] * way[[1, 2, 0]]
+    sine = math.sqrt(across @ across)
     swing = _turn(across / sine, math.degrees(math.atan2(sine, float(axis @ way)))) if sine > 1e-9 else np.eye(3)
     twist = swing.T @ rotation
     return swing, math.degrees(float(_rotation_vector(twist) @ axis))
