@@ -248,7 +248,7 @@ def mirrored(rotation: Matrix) -> Matrix:
 
 def about(angle_rad: float, axis: int = 1) -> Matrix:
     """Rotation about an axis, [3, 3]: about y, it turns z towards x."""
-    one, two, matrix = (axis + 1) % 3, (axis + 2) % 3, np.eye(3)
+    one, two, matrix = (axis + 1) % 3, (axis + 2) % 3, _IDENTITY.copy()
     matrix[one, one] = matrix[two, two] = math.cos(angle_rad)
     matrix[two, one], matrix[one, two] = math.sin(angle_rad), -math.sin(angle_rad)
     return matrix

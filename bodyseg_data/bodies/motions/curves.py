@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import islice
 from typing import Any, Final
@@ -82,7 +82,7 @@ class PoseTrack:
 
 def angles(pose: Pose) -> Vector:
     """Return all joint angles [37] of a pose: trunk, left and right arm, left and right leg."""
-    return np.concatenate(astuple(pose), dtype=np.float64)
+    return np.array([angle for part in vars(pose).values() for angle in vars(part).values()], np.float64)
 
 
 def from_angles(values: Vector, decimals: int | None = None) -> Pose:
