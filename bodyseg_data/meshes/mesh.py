@@ -120,14 +120,14 @@ class Mesh:
         vertices: Floats = np.asarray(self.vertices, np.float64)
         faces: NDArray[Any] = np.asarray(self.faces)
         check_arrays(f"mesh {self.name}", vertices, faces)
-        extent, (low, high) = float(np.ptp(vertices[np.unique(faces)], axis=0).max()), self._range_m
-        if not low <= extent <= high:
-            rule = f"a {self._kind} must be {low:g} to {high:g} m at its largest"
-            raise BadMesh(f"mesh {self.name}: {rule}, found {extent:.3g} m{self._remedy}")
         for field, array in (("vertices", vertices), ("faces", faces.astype(np.int32))):
             frozen = np.ascontiguousarray(array).copy()
             frozen.flags.writeable = False
             object.__setattr__(self, field, frozen)
+        extent, (low, high) = float(np.ptp(self.surface_vertices, axis=0).max()), self._range_m
+        if not low <= extent <= high:
+            rule = f"a {self._kind} must be {low:g} to {high:g} m at its largest"
+            raise BadMesh(f"mesh {self.name}: {rule}, found {extent:.3g} m{self._remedy}")
         self._check_orientation()
 
     def _check_orientation(self) -> None:
@@ -156,13 +156,12 @@ class Mesh:
         closed = np.ones(piece.max() + 1, np.bool_)
         closed[piece[edges.ends[edges.faces == 1, 0]]] = False
         faces = self.faces[closed[piece[self.faces[:, 0]]]]
-        if not len(faces):
-            return np.inf
-        numbers, piece_of_face = np.unique(piece[faces[:, 0]], return_inverse=True)
+        owner = piece[faces[:, 0]]
         # Measured about one vertex of each piece: far from the piece, rounding would exceed its volume.
-        origin = self.vertices[np.unique(piece, return_index=True)[1][numbers]]
-        corners = self.vertices[faces] - origin[piece_of_face][:, None]
-        return float(np.bincount(piece_of_face, weights=signed_volumes(corners)).min())
+        first = np.unique(piece, return_index=True)[1]
+        corners = self.vertices[faces] - self.vertices[first[owner]][:, None]
+        volumes = np.bincount(owner, weights=signed_volumes(corners))
+        return float(volumes[np.unique(owner)].min(initial=np.inf))
 
     def pieces(self) -> NDArray[np.int32]:
         """Index of the connected piece of the surface that each vertex belongs to, int32 [V]."""
@@ -171,7 +170,9 @@ class Mesh:
     @cached_property
     def surface_vertices(self) -> Floats:
         """The vertices that faces use, float64 [N, 3], metres."""
-        return self.vertices[np.unique(self.faces)]
+        used = np.zeros(len(self.vertices), np.bool_)
+        used[self.faces] = True
+        return self.vertices[used]
 
     @cached_property
     def centre(self) -> Floats:
