@@ -194,9 +194,6 @@ def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, 
 
     points, normals, axes: float64 [N, 3]; axes are tangent unit vectors. areas: [N], of surface around each point.
     """
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(points)
     patterns = np.zeros((len(points), len(DIRECTIONS)))
     count = max(1, round(_OVERLAP * areas.sum() / (np.pi * _ACROSS * _ALONG * wave_m**2)))
     for column, angle in enumerate(DIRECTIONS):
@@ -207,12 +204,14 @@ def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, 
         phases = 2 * np.pi * draws.random(count)
         value, energy = np.zeros(len(points)), np.full(len(points), _QUIET)
         for centre, wave, turn, phase in zip(centres, waves, turns, phases, strict=True):
-            near = np.array(tree.query_ball_point(points[centre], _REACH * wave))
+            away, facing = points - points[centre], normals @ normals[centre]
+            # Folds do not continue on the far side of a limb.
+            near = np.flatnonzero((facing > 0) & (np.einsum("ij,ij->i", away, away) <= (_REACH * wave) ** 2))
             axis, around = axes[centre], np.cross(normals[centre], axes[centre])
             ways = [np.cos(turn) * axis + np.sin(turn) * around, np.cos(turn) * around - np.sin(turn) * axis]
-            across, along, through = np.stack([*ways, normals[centre]]) @ (points[near] - points[centre]).T / wave
+            across, along, through = np.stack([*ways, normals[centre]]) @ away[near].T / wave
             fade = np.exp(-0.5 * ((across / _ACROSS) ** 2 + (along / _ALONG) ** 2 + (through / _THROUGH) ** 2))
-            fade *= np.maximum(normals[near] @ normals[centre], 0)  # folds do not continue on the far side of a limb
+            fade *= facing[near]
             value[near] += fade * np.cos(2 * np.pi * across + phase)
             energy[near] += fade**2
         patterns[:, column] = (np.exp(1.43 * (value / np.sqrt(energy))) - 1.9) / 2.2
