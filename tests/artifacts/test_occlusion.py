@@ -86,7 +86,7 @@ class Scene:
 
     @staticmethod
     def _ball(origin: Floats, rays: Floats, centre: Floats, radius: float) -> Floats:
-        a, b = (rays**2).sum(-1), rays @ (origin - centre)
+        a, b = np.einsum("...i,...i", rays, rays), rays @ (origin - centre)
         inner = b * b - a * (((origin - centre) ** 2).sum() - radius**2)
         return np.where(inner > 0, (-b - np.sqrt(np.maximum(inner, 0))) / a, -1.0)
 

@@ -66,7 +66,7 @@ test = occlusion.ShadowTest(RIG)
 assert (compiled_default.lit(test, ranges, projected, facing) == test.lit(ranges, projected, facing)).all()
 options.open_source = lambda *where: Figures()
 views = ViewGrid(span_deg=360, count=4)
-pack.pack(options.Packing("open", meshes=2, views=views), out, ThreadPoolExecutor(1), 1)
+pack.pack(options.Packing("open", meshes=1, views=views), out, ThreadPoolExecutor(1), 1)
 """
 
 
@@ -96,9 +96,9 @@ def test_another_threshold_packs_other_bytes_and_carries_on_no_packing(
         timeout=200,
     )
     assert done.returncode == 0, done.stderr
-    usual = pack_figures(tmp_path / "usual", meshes=2)
+    usual = pack_figures(tmp_path / "usual", meshes=1)
     kept = [(usual / shard.name).read_bytes() for shard in read_manifest(usual).shards]
     for other in others:
         assert [(other / shard.name).read_bytes() for shard in read_manifest(other).shards] != kept, other.name
         with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
-            pack_figures(other, meshes=2)
+            pack_figures(other, meshes=1)
