@@ -54,8 +54,8 @@ def draw_legend(width: int, label_map: LabelMap = PARTS33) -> Image.Image:
 
 def _cut(name: str, width: int) -> str:
     """As much of a name, in size 13, as fits into `width` pixels, with dots for the rest; the font has no accents."""
-    cut = "".join(each for each in unicodedata.normalize("NFKD", name) if not unicodedata.combining(each))
-    dots = ""
+    plain = "".join(each for each in unicodedata.normalize("NFKD", name) if not unicodedata.combining(each))
+    cut, dots = plain[:width], "..." * (len(plain) > width)  # letters are wider than a pixel
     while cut and font(13).getlength(cut + dots) > width:
         cut, dots = cut[:-1], "..."
     return cut + dots
