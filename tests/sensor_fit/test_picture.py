@@ -38,7 +38,7 @@ def test_the_picture_has_four_panels(lens: Distortion | None) -> None:
     recording = replace(recording, camera=replace(recording.camera, distortion=lens))
     picture = draw_comparison(recording, SensorModel("mine", (Noise(5.0, 5.0),)))
     assert picture.height > HEIGHT and picture.width > 4 * 240
-    assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 50
+    assert len(picture.getcolors(picture.width * picture.height) or []) > 50
 
 
 def test_a_body_that_lies_makes_no_picture_wider_than_screens() -> None:
