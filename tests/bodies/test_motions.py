@@ -31,7 +31,7 @@ from bodyseg_data.bodies.motions.handstand import ARM_C
 from bodyseg_data.bodies.motions.jumps import Flight
 from bodyseg_data.bodies.motions.walk import STANCE
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations, leg_rotations, root_rotation
-from bodyseg_data.bodies.sources.open_bodies import OpenBodies
+from bodyseg_data.bodies.sources.open_bodies import BareBodies
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import load_landmarks
 
@@ -73,12 +73,10 @@ def _all(subject: str, name: str) -> list[Figure]:
 
 @pytest.fixture(scope="module")
 def built() -> Callable[[str, str, int], Floats]:
-    """Bare vertices of frames."""
-    source = OpenBodies()
+    """Vertices of frames, of bodies for which no clothes are cut."""
+    source = BareBodies()
     by_name = {ref.mesh: ref for ref in source.bodies()}
-    return lambda subject, name, index: (
-        source.build(by_name[f"{subject}-{name}-{index:03d}"], dressed=False).mesh.vertices
-    )
+    return lambda subject, name, index: source.build(by_name[f"{subject}-{name}-{index:03d}"]).mesh.vertices
 
 
 @cache
@@ -290,7 +288,7 @@ def _sole_point(pose: Pose, build: Build, side: str, point: tuple[float, float, 
 
 @pytest.fixture(scope="module")
 def model() -> Any:
-    return OpenBodies().model
+    return BareBodies().model
 
 
 @pytest.mark.parametrize("subject", ["B", "C"])

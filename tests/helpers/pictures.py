@@ -55,12 +55,18 @@ def marks(picture: Picture, colour: Any, least: int = 12, within: int = 0) -> li
     rgb = [int(colour[at : at + 2], 16) for at in (1, 3, 5)] if isinstance(colour, str) else list(colour)
     alike = np.ones(picture.shape[:2], bool)
     for channel, value in enumerate(map(int, rgb)):  # one by one, as bytes: a tenth of the time of [H, W, 3]
-        alike &= (picture[..., channel] >= max(0, value - within)) & (picture[..., channel] <= min(255, value + within))
-    numbers, count = ndimage.label(alike, np.ones((3, 3)))
+        least_value, most_value = max(0, value - within), min(255, value + within)
+        # One comparison: what is less than the least one wraps around.
+        alike &= picture[..., channel] - np.uint8(least_value) <= most_value - least_value
+    rows, columns = (np.flatnonzero(alike.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return []
+    top, left = int(rows[0]), int(columns[0])
+    numbers, count = ndimage.label(alike[top : rows[-1] + 1, left : columns[-1] + 1], np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)
     found = [
-        Mark(columns.start, columns.stop - 1, rows.start, rows.stop - 1, int(sizes[number]))
-        for number, (rows, columns) in enumerate(ndimage.find_objects(numbers), 1)
+        Mark(left + across.start, left + across.stop - 1, top + down.start, top + down.stop - 1, int(sizes[number]))
+        for number, (down, across) in enumerate(ndimage.find_objects(numbers), 1)
         if sizes[number] >= least
     ]
     return sorted(found)

@@ -93,7 +93,7 @@ def test_inspect_draws_and_counts_a_set(
     picture = part(decoded(tmp_path / "sheet.png"), down=(0, 0.5))  # without the legend
     images = RangeImages(sets["bsi"])
     parts = np.unique(images.clean(0).labels)
-    seen = [label for label in parts[parts < 33] if marks(picture, COLOURS[label].tolist(), 6)]
+    seen = [label for label in parts[:15] if marks(picture, COLOURS[label].tolist(), 6)]
     assert len(seen) > 10, "labels are in their colours"
 
 
