@@ -44,6 +44,7 @@ def test_rates_that_frames_change_between() -> None:
     found = losses_of(recorded(MissingData(between=(0.0, 0.3)), frames=12))
     low, high = found["missing_data"].strengths["between"]
     assert low < 0.08 and 0.2 < high < 0.4
+    assert found["missing_data"].estimates["share"].error == pytest.approx(0.3 / np.sqrt(12 * 12), rel=0.4)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2])

@@ -111,6 +111,8 @@ def test_each_frame_may_have_a_deviation_of_its_own() -> None:
     found = measure_noise(recorded(Noise(0.0, 40.0), frames=10))
     assert found.verdict == NEEDED and "its own deviation" in found.reason
     assert found.strengths["low_mm"] < 12 and 28 < found.strengths["high_mm"] < 60
+    errors = [found.estimates[name].error for name in ("sigma_mm", "high_mm")]
+    assert 2 * errors[0] == pytest.approx(errors[1], rel=0.01)  # both by the spread of frames, not of their pairs
 
 
 def test_each_frame_of_a_body_that_moves_may_have_one_too() -> None:
