@@ -146,8 +146,7 @@ def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None, rig: 
     reason = f"gaps of {widths}: baselines of {sides}"
     if shadow.side is None:
         return Finding("occlusion", UNKNOWN, f"{reason}, alike on both sides as edges are", estimates)
-    narrow: Side = "left" if shadow.side == "right" else "right"
-    if shadow.width_px[narrow] >= _LEAST_PX:
+    if min(shadow.width_px.values()) >= _LEAST_PX:
         both = shadow.baseline_m.values()
         total = Estimate(sum(each.value for each in both), math.hypot(*(each.error for each in both)))
         estimates |= {"baseline_m": total}

@@ -196,15 +196,14 @@ def _random(outlines: Sequence[BodyOutline]) -> Finding:
     areas = [each.inside & ~dilated(each.solid | each.striped | each.shadow, _SOLID_PX) for each in outlines]
     counts = np.array([np.count_nonzero(area) for area in areas])
     lost = [np.count_nonzero(outline.lost & area) for outline, area in zip(outlines, areas, strict=True)]
-    rates = (lost / np.maximum(counts, 1))[counts > 0]
+    rates = lost / np.maximum(counts, 1)
     mean = float(np.sum(lost) / max(counts.sum(), 1))
-    variance = max(mean * (1 - mean), 1e-6) / max(counts.sum(), 1)
-    if len(rates) > 1:  # frames may differ in their shares
-        variance += rates.var(ddof=1) / len(rates)
+    apart = np.sum((mean * counts - lost) ** 2) / max(counts.sum(), 1)  # frames may differ in their shares
+    variance = (max(mean * (1 - mean), 1e-6) + apart) / max(counts.sum(), 1)
     estimates = {"share": Estimate(mean, float(np.sqrt(variance)))}
     if mean < _LEAST_SHARE:
         return Finding("missing_data", NOT_SEEN, f"{mean:.2%} of {counts.sum()} pixels lost singly", estimates)
-    strengths, reason = _rates(rates)
+    strengths, reason = _rates(rates[counts > 0])
     return Finding("missing_data", NEEDED, f"{mean:.2%} of pixels lost singly; {reason}", estimates, strengths)
 
 

@@ -49,10 +49,8 @@ def measure_noise(recording: MarkedRecording) -> Finding:
         return Finding("noise", UNKNOWN, f"{count} residuals are too few, {_LEAST_RESIDUALS} are needed")
     sigmas = 1000 * np.sqrt(variances)
     mean, spread = float(sigmas.mean()), float(sigmas.std(ddof=1)) if len(sigmas) > 1 else 0.0
-    varies = len(sigmas) >= 4 and spread > _VARYING * mean
-    if between:  # each difference mixes the variances of two frames
-        spread *= np.sqrt(2)
-    estimates = {"sigma_mm": Estimate(mean, float(np.hypot(spread / np.sqrt(len(sigmas)), mean / np.sqrt(2 * count))))}
+    apart = spread * np.sqrt(2) if between else spread  # of frames: each difference mixes the variances of two
+    estimates = {"sigma_mm": Estimate(mean, float(np.hypot(apart / np.sqrt(len(sigmas)), mean / np.sqrt(2 * count))))}
     at = f"at {ranges.min():.2f} m" if np.ptp(ranges) < 0.05 else f"from {ranges.min():.2f} to {ranges.max():.2f} m"
     where = f"{'between' if between else 'within'} frames, {at}"
     if mean < _LEAST_MM:
@@ -62,11 +60,11 @@ def measure_noise(recording: MarkedRecording) -> Finding:
     if step**2 / 12 > np.median(variances) / 2:
         reason += f", most of it by steps of {1000 * step:.2g} mm"
     low = high = mean
-    if varies:
-        low, high = max(mean - np.sqrt(3) * spread, 0.0), mean + np.sqrt(3) * spread
-        error = 2 * spread / np.sqrt(len(sigmas))
+    if len(sigmas) >= 4 and spread > _VARYING * mean:
+        low, high = max(mean - np.sqrt(3) * apart, 0.0), mean + np.sqrt(3) * apart
+        error = 2 * apart / np.sqrt(len(sigmas))
         estimates |= {"low_mm": Estimate(low, error), "high_mm": Estimate(high, error)}
-        reason += f"; each frame has its own deviation, {spread:.2g} mm apart"
+        reason += f"; each frame has its own deviation, {apart:.2g} mm apart"
     return Finding("noise", NEEDED, reason, estimates, {"low_mm": rounded(low), "high_mm": rounded(high)})
 
 
