@@ -61,9 +61,9 @@ def _edges(image: Floats, body: NDArray[np.bool_], jump: float) -> tuple[Floats,
     two = flat[:, :-3] & rise[:, 1:-2] & rise[:, 2:-1] & flat[:, 3:] & body[:, 1:-3]
     gap = image[:, 3:-1] - image[:, 1:-3]
     two &= (gap >= _WIDE * jump) & (step[:, 1:-2] >= _END * gap) & (step[:, 1:-2] <= (1 - _END) * gap)
-    one = flat[:, :-3] & rise[:, 1:-2] & flat[:, 2:-1] & body[:, 1:-3] & (step[:, 1:-2] >= _WIDE * jump)
-    one &= joined[:, 3:]  # as many measured pixels as of the others, or lost pixels would leave more of these
-    return gap[two], step[:, 1:-2][one]
+    one = flat[:, :-2] & rise[:, 1:-1] & flat[:, 2:] & body[:, 1:-2] & (step[:, 1:-1] >= _WIDE * jump)
+    one[:, :-1] &= joined[:, 3:]  # as many measured pixels as of the others, or lost pixels would leave more of these
+    return gap[two], step[:, 1:-1][one]
 
 
 Side = Literal["left", "right"]
