@@ -1,5 +1,6 @@
 """Shared style of all pictures: colours, font, the legend of the parts, and writing PNG and SVG files."""
 
+import functools
 import io
 import unicodedata
 from pathlib import Path
@@ -23,13 +24,11 @@ THING: Final = (112, 116, 124)
 EMPTY: Final = (24, 26, 32)
 """Colour of pixels without a range."""
 
+font: Final = functools.cache(ImageFont.load_default)
+"""Pillow's built-in font in a size in pixels, so that pictures look the same on every machine."""
+
 _COLUMN: Final = 222  # fits the longest name
 _LINE: Final = 21
-
-
-def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's built-in font in a size in pixels, so that pictures look the same on every machine."""
-    return ImageFont.load_default(size)
 
 
 def draw_legend(width: int, label_map: LabelMap = PARTS33) -> Image.Image:
