@@ -47,7 +47,9 @@ def program() -> Iterator[ModuleType]:
     assert spec is not None and spec.loader is not None
     found = module_from_spec(spec)
     spec.loader.exec_module(found)
-    yield found
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gc.collect", lambda: 0)  # each of pyrender's renderers, as it goes, looks at all that tests keep
+        yield found
     opengl._context = None  # pyrender's renderers, as they go, close EGL's display for all of the process
 
 
