@@ -9,7 +9,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from functools import partial
 from importlib import import_module
 from itertools import chain
@@ -23,8 +23,8 @@ from PIL import Image
 
 from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
-from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance
-from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, check_int
+from bodyseg_data.commands import WHERE_HELP, Progress, check_target, command_line, option, provenance
+from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, check_int, reported
 from bodyseg_data.files import held_part, parse_json, part_beside, read_bytes, read_json, write_json
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.renders import read_array
@@ -33,10 +33,11 @@ from bodyseg_data.shards import column_names, open_store
 from bodyseg_model import segmentation
 from bodyseg_model.recordings import find_frames
 
-EXAMPLE = "bodyseg export-labels --in labelled --out coco --format coco"
+EXAMPLE = "bodyseg export-labels labelled --out coco --format coco"
 
 _FORMAT: Final = "bodyseg label export 1"
 _NOTE: Final = "export.json"  # in every export: what it is; such a folder may be replaced by another export
+_BEGINNING: Final = '{"info": {"description": "exported by bodyseg"}, "licenses": [], "annotations": ['  # COCO's
 _APPLES: Final = ("._", ".DS_Store")  # how names of files begin that macOS leaves in folders
 
 DENSE_POSE: Final = np.zeros(256, np.uint8)
@@ -53,9 +54,12 @@ Images = Iterator["LabelImage"]
 
 @dataclass(frozen=True)
 class Options:
-    folder: str = option("folder that `segment` wrote, or a set: its folder or address", address=True, flag="in")
-    out: Path = option("folder that gets the export: a new one, or that of an earlier export, which is replaced")
-    format: FormatName = option("COCO's run lengths or panoptic PNGs, DensePose's parts, indexed PNGs, LeRobot v3.0")
+    folder: str = option("folder that `segment` wrote, or a set: its folder or address", MISSING, True, True, "in")
+    out: Path | None = option("folder that gets the export: a new one, or an earlier export's, which is replaced", None)
+    format: FormatName | None = option(
+        "COCO's run lengths or panoptic PNGs, DensePose's parts, indexed PNGs, LeRobot v3.0", None
+    )
+    coco: Path | None = option("in place of both: JSON file that gets COCO's run lengths, without ranges", None)
     frames: tuple[Path, ...] = option(
         "with a folder of `segment`: the frames that it labelled, to export their ranges, too", ()
     )
@@ -95,14 +99,17 @@ def run(options: Options) -> int:
     check_int("--fps", options.fps, 1)
     if options.topic is not None and not options.frames:
         raise BadConfig("--topic is of --frames, which are missing")
+    if options.coco is not None and options.out is None and options.format is None:
+        return _annotations(options, options.coco)
+    if options.coco is not None or options.out is None or options.format is None:
+        raise BadConfig("give --out and --format, or --coco alone")
+    if options.uncompressed and options.format != "coco":
+        raise BadConfig(f"--uncompressed is for --format coco, found {options.format}")
     facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
     if Path.cwd().is_relative_to(options.out.resolve()):
         raise BadConfig(f"--out must not hold the folder in which the command runs, found {options.out}")
     out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
-    folder = Path(options.folder)
-    if (folder / segmentation.UNFINISHED).is_file():
-        raise BadConfig(f"`bodyseg segment` has not ended in {folder}: repeat its call")
-    old, opened = part_beside(out), _frames if (folder / segmentation.SUMMARY).is_file() else _samples
+    old = part_beside(out)
     try:
         held = sorted(each.name for each in out.iterdir() if not each.name.startswith(_APPLES)) if out.exists() else []
         note = read_json(out / _NOTE) if _NOTE in held else {}
@@ -111,7 +118,7 @@ def run(options: Options) -> int:
         if held and not (isinstance(most := note.get("holds"), int) and _count(out) <= most):
             raise BadConfig(f"--out must hold an earlier export alone, found other files, too, in {out}: move them")
         with Progress("exporting", "images") as progress:
-            label_map, images = opened(options, progress.update)
+            label_map, images = _opened(options, progress.update)
             with held_part(out, partial(Path.mkdir, parents=True)) as part:
                 FORMATS[options.format](part, label_map, images, options)
                 colours = zip(label_map.names, label_map.colours, strict=True)
@@ -133,9 +140,31 @@ def run(options: Options) -> int:
     return 0
 
 
+def _annotations(options: Options, path: Path) -> int:
+    """Write COCO's annotations alone, without ranges: into a new file, or in place of an earlier export's."""
+    check_target(path, "--coco")
+    with reported(f"cannot write {path}", BadConfig, OSError), Progress("exporting", "images") as progress:
+        if path.is_file() and not path.read_bytes().startswith(_BEGINNING.encode()):
+            raise BadConfig(f"--coco must be a new file, or one of an earlier export, found {path}")
+        label_map, images = _opened(options, progress.update)
+        with held_part(path, Path.mkdir) as part:
+            _coco(part, label_map, (image._replace(range=None) for image in images), options)
+            (part / "annotations.json").replace(path)
+    sys.stderr.write(f"wrote {path}\n")
+    return 0
+
+
 def _count(folder: Path) -> int:
     """Files and folders within a folder, without macOS's own."""
     return sum(not entry.name.startswith(_APPLES) for entry in folder.rglob("*"))
+
+
+def _opened(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:
+    """Classes and images of the folder that `segment` wrote, or of a set."""
+    folder = Path(options.folder)
+    if (folder / segmentation.UNFINISHED).is_file():
+        raise BadConfig(f"`bodyseg segment` has not ended in {folder}: repeat its call")
+    return (_frames if (folder / segmentation.SUMMARY).is_file() else _samples)(options, progress)
 
 
 def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:
@@ -278,7 +307,7 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
     """One annotation for every segment; for `panoptic` one for every image, and a PNG of ids, R + 256 G + 256^2 B."""
     told_images, written, things = list[dict[str, Any]](), 0, False
     with _path(folder, "panoptic.json" if panoptic else "annotations.json").open("w", encoding="utf-8") as file:
-        file.write('{"info": {"description": "exported by bodyseg"}, "licenses": [], "annotations": [')
+        file.write(_BEGINNING)
         for image in _with_ranges(folder, images):
             (rows, columns), things = image.labels.shape, things or image.instances is not None
             size = {"width": columns, "height": rows, "range_step_m": image.step_m}

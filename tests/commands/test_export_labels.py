@@ -87,6 +87,22 @@ def test_coco_holds_labels_areas_boxes_and_ranges(coco: Path, figures_set: Path)
         np.testing.assert_array_equal(again, clean)
 
 
+def test_coco_may_be_one_file(figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = tree(export(tmp_path / "coco", figures_set, "coco") / "annotations.json")
+    (tmp_path / "runs.json").write_text("{}")
+    for words in ((), ("--uncompressed",)):  # into a new file, and in place of the earlier one
+        assert cli.main(["export-labels", str(figures_set), "--coco", str(tmp_path / "one.json"), *words]) == 0
+        alone = tree(tmp_path / "one.json")
+        assert (alone["annotations"] == whole["annotations"]) == (not words)
+        assert [f"range/{each['file_name']}" for each in alone["images"]] == [
+            each["file_name"] for each in whole["images"]
+        ]
+    assert [each.name for each in sorted(tmp_path.iterdir())] == ["coco", "one.json", "runs.json"]
+    assert "--coco must be a new file, or one of an" in refused(capsys, figures_set, "--coco", tmp_path / "runs.json")
+    for wrong in (["--coco", tmp_path / "a.json", "--format", "png"], ["--out", tmp_path / "a"]):
+        assert "give --out and --format, or --coco alone" in refused(capsys, figures_set, *wrong)
+
+
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_coco_comes_back_from_its_own_tools(coco: Path) -> None:
     reader = pytest.importorskip("pycocotools.coco", reason="pycocotools is not installed: pip install pycocotools")
