@@ -56,9 +56,7 @@ Images = Iterator["LabelImage"]
 class Options:
     folder: str = option("folder that `segment` wrote, or a set: its folder or address", MISSING, True, True, "in")
     out: Path | None = option("folder that gets the export: a new one, or an earlier export's, which is replaced", None)
-    format: FormatName | None = option(
-        "COCO's run lengths or panoptic PNGs, DensePose's parts, indexed PNGs, LeRobot v3.0", None
-    )
+    format: FormatName | None = option("COCO's run lengths or panoptic PNGs, DensePose's parts, PNGs, or LeRobot's", None)
     coco: Path | None = option("in place of both: JSON file that gets COCO's run lengths, without ranges", None)
     frames: tuple[Path, ...] = option(
         "with a folder of `segment`: the frames that it labelled, to export their ranges, too", ()
@@ -99,8 +97,12 @@ def run(options: Options) -> int:
     check_int("--fps", options.fps, 1)
     if options.topic is not None and not options.frames:
         raise BadConfig("--topic is of --frames, which are missing")
+    folder = Path(options.folder)
+    if (folder / segmentation.UNFINISHED).is_file():
+        raise BadConfig(f"`bodyseg segment` has not ended in {folder}: repeat its call")
+    opened = partial(_frames if (folder / segmentation.SUMMARY).is_file() else _samples, options)
     if options.coco is not None and options.out is None and options.format is None:
-        return _annotations(options, options.coco)
+        return _annotations(options, options.coco, opened)
     if options.coco is not None or options.out is None or options.format is None:
         raise BadConfig("give --out and --format, or --coco alone")
     if options.uncompressed and options.format != "coco":
@@ -118,7 +120,7 @@ def run(options: Options) -> int:
         if held and not (isinstance(most := note.get("holds"), int) and _count(out) <= most):
             raise BadConfig(f"--out must hold an earlier export alone, found other files, too, in {out}: move them")
         with Progress("exporting", "images") as progress:
-            label_map, images = _opened(options, progress.update)
+            label_map, images = opened(progress.update)
             with held_part(out, partial(Path.mkdir, parents=True)) as part:
                 FORMATS[options.format](part, label_map, images, options)
                 colours = zip(label_map.names, label_map.colours, strict=True)
@@ -140,13 +142,13 @@ def run(options: Options) -> int:
     return 0
 
 
-def _annotations(options: Options, path: Path) -> int:
+def _annotations(options: Options, path: Path, opened: Callable[[ProgressCallback], tuple[LabelMap, Images]]) -> int:
     """Write COCO's annotations alone, without ranges: into a new file, or in place of an earlier export's."""
     check_target(path, "--coco")
     with reported(f"cannot write {path}", BadConfig, OSError), Progress("exporting", "images") as progress:
         if path.is_file() and not path.read_bytes().startswith(_BEGINNING.encode()):
             raise BadConfig(f"--coco must be a new file, or one of an earlier export, found {path}")
-        label_map, images = _opened(options, progress.update)
+        label_map, images = opened(progress.update)
         with held_part(path, Path.mkdir) as part:
             _coco(part, label_map, (image._replace(range=None) for image in images), options)
             (part / "annotations.json").replace(path)
@@ -157,14 +159,6 @@ def _annotations(options: Options, path: Path) -> int:
 def _count(folder: Path) -> int:
     """Files and folders within a folder, without macOS's own."""
     return sum(not entry.name.startswith(_APPLES) for entry in folder.rglob("*"))
-
-
-def _opened(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:
-    """Classes and images of the folder that `segment` wrote, or of a set."""
-    folder = Path(options.folder)
-    if (folder / segmentation.UNFINISHED).is_file():
-        raise BadConfig(f"`bodyseg segment` has not ended in {folder}: repeat its call")
-    return (_frames if (folder / segmentation.SUMMARY).is_file() else _samples)(options, progress)
 
 
 def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:
