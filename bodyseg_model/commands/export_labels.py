@@ -56,7 +56,7 @@ Images = Iterator["LabelImage"]
 class Options:
     folder: str = option("folder that `segment` wrote, or a set: its folder or address", MISSING, True, True, "in")
     out: Path | None = option("folder that gets the export: a new one, or an earlier export's, which is replaced", None)
-    format: FormatName | None = option("COCO's run lengths or panoptic PNGs, DensePose's parts, PNGs, or LeRobot's", None)
+    format: FormatName | None = option("COCO's run lengths or panoptic PNGs, DensePose's parts, PNGs, LeRobot", None)
     coco: Path | None = option("in place of both: JSON file that gets COCO's run lengths, without ranges", None)
     frames: tuple[Path, ...] = option(
         "with a folder of `segment`: the frames that it labelled, to export their ranges, too", ()
