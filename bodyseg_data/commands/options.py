@@ -43,9 +43,8 @@ def option(
 ) -> Any:
     """Declare a field of an options class: its help text and its default (none: required).
 
-    positional: given without a flag; by one, too, if `flag` names it. address: its text is a path or an address. flag:
-    its name on the command line if that differs from the field's, as `lr` for `learning_rate`. heading: in the help,
-    above this and later options.
+    positional: given without a flag. address: its text is a path or an address. flag: its name on the command line if
+    that differs from the field's, as `lr` for `learning_rate`. heading: in the help, above this and later options.
     """
     metadata = {"help": text, "positional": positional, "address": address, "flag": flag, "heading": heading}
     return dataclasses.field(default=default, metadata=metadata)
@@ -166,11 +165,10 @@ def _parameter(field: dataclasses.Field[Any], hint: Any, group: Any) -> inspect.
     from cyclopts import Parameter, convert
 
     kind, many = _kind(hint)
-    positional, named, default = field.metadata["positional"], field.metadata["flag"] is not None, field.default
-    kinds = inspect.Parameter.POSITIONAL_OR_KEYWORD if named else inspect.Parameter.POSITIONAL_ONLY
+    positional, default = field.metadata["positional"], field.default
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
     settings = Parameter(
-        name=None if positional and not named else flag_of(field),
+        name=None if positional else flag_of(field),
         help=field.metadata["help"],
         **({} if group is None else {"group": group}),
         converter=partial(convert, converter=_value),
@@ -181,7 +179,7 @@ def _parameter(field: dataclasses.Field[Any], hint: Any, group: Any) -> inspect.
     )
     return inspect.Parameter(
         field.name,
-        kinds if positional else inspect.Parameter.KEYWORD_ONLY,
+        inspect.Parameter.POSITIONAL_ONLY if positional else inspect.Parameter.KEYWORD_ONLY,
         default=inspect.Parameter.empty if default is MISSING else default,
         annotation=Annotated[types.GenericAlias(tuple, (kind, ...)) if many else kind, settings],
     )

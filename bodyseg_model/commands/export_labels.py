@@ -9,7 +9,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from itertools import chain
@@ -54,7 +54,7 @@ Images = Iterator["LabelImage"]
 
 @dataclass(frozen=True)
 class Options:
-    folder: str = option("folder that `segment` wrote, or a set: its folder or address", MISSING, True, True, "in")
+    folder: str = option("folder that `segment` wrote, or a set: its folder or address", positional=True, address=True)
     out: Path | None = option("folder that gets the export: a new one, or an earlier export's, which is replaced", None)
     format: FormatName | None = option("COCO's run lengths or panoptic PNGs, DensePose's parts, PNGs, LeRobot", None)
     coco: Path | None = option("in place of both: JSON file that gets COCO's run lengths, without ranges", None)
@@ -105,8 +105,6 @@ def run(options: Options) -> int:
         return _annotations(options, options.coco, opened)
     if options.coco is not None or options.out is None or options.format is None:
         raise BadConfig("give --out and --format, or --coco alone")
-    if options.uncompressed and options.format != "coco":
-        raise BadConfig(f"--uncompressed is for --format coco, found {options.format}")
     facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
     if Path.cwd().is_relative_to(options.out.resolve()):
         raise BadConfig(f"--out must not hold the folder in which the command runs, found {options.out}")

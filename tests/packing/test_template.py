@@ -286,7 +286,7 @@ def test_commands_know_the_column(mapped: Path, capsys: pytest.CaptureFixture[st
 def test_exported_parts_are_one_persons_also_by_labels_of_the_template(
     mapped: Path, tmp_path: Path, labels: str
 ) -> None:
-    words = ["export-labels", "--in", str(mapped), "--format", "panoptic", "--labels", labels]
+    words = ["export-labels", str(mapped), "--format", "panoptic", "--labels", labels]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
     told = json.loads((tmp_path / "out" / "panoptic.json").read_text())
     assert {segment["instance"] for image in told["annotations"] for segment in image["segments_info"]} == {1}

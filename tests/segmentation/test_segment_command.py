@@ -597,7 +597,7 @@ def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: 
     trained = load_network(tmp_path / "limbs.safetensors")
     for each in (FrameLabeller(trained, device="cpu"), Segmenter(trained, trained.rig.camera)):
         assert each.background.mode == "people"
-    words = "export-labels", "--in", str(out), "--out", str(tmp_path / "coco"), "--format", "coco"
+    words = "export-labels", str(out), "--out", str(tmp_path / "coco"), "--format", "coco"
     assert cli.main([*words]) == 0
     found = json.loads((tmp_path / "coco" / "annotations.json").read_text())["annotations"]
     assert {each["instance"] for each in found} == {1}, "people, not stuff"

@@ -212,7 +212,6 @@ def test_a_recording_that_cannot_be_opened_is_skipped_like_a_frame(
     np.testing.assert_array_equal(labels(tmp_path / "out", facts["each"][-1]["name"]) != BACKGROUND, STACK[4] == 2000)
     words_of_export = [
         "export-labels",
-        "--in",
         tmp_path / "out",
         "--out",
         tmp_path / "png",
