@@ -350,7 +350,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     for name in ("../labels/1", str(folder / "labels" / "1")):
         summary["each"][0]["name"] = name
         (folder / "summary.json").write_text(json.dumps(summary))
-        assert "must stay in its folder" in refused(capsys, *words[:2], "--format", "png", "--out", out)
+        assert "must stay in its folder" in refused(capsys, folder, "--format", "png", "--out", out)
     summary["each"][0] |= {"name": "1", "path_id": []}
     (folder / "summary.json").write_text(json.dumps(summary))
     assert "must be those labelled, where they lay: 1 is not" in refused(capsys, *words, "--frames", frames)
