@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import fcntl
 import gzip
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -39,16 +42,33 @@ _CROWN_M: Final = 0.06  # from the ends, within which the highest and lowest ver
 
 
 def load_anny() -> Any:
-    """Load Anny's model: two seconds; about twelve the first time on a machine, when its text files are parsed.
+    """Load Anny's model: about a second; some ten the first time on a machine, when its text files are parsed.
 
     Raises MissingLibrary, or BadConfig for its cache or a user without a home.
     """
+    _import_rotations()
     with reported("anny needs a home, also beside ANNY_CACHE_DIR: set HOME", BadConfig, RuntimeError):
         anny = required("anny", "making bodies")
     with torch_threads(1), _cache(), _fast_parsing():
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.
         return anny.Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
+
+
+def _import_rotations() -> None:
+    """Import roma, which Anny imports, without PyTorch's compiler, which takes two seconds: roma wants it only to
+    except two functions from compiling. A roma that wants more of it is left to Anny's own import.
+    """
+    import torch
+
+    if "torch._dynamo" in sys.modules:
+        return
+    stand_in: Any = SimpleNamespace(disable=lambda function: function)
+    torch._dynamo = stand_in
+    with suppress(Exception):
+        import_module("roma")
+    if vars(torch)["_dynamo"] is stand_in:  # unless something has imported the compiler
+        del torch._dynamo
 
 
 @contextmanager

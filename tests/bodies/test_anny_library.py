@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import gzip
+import sys
 from pathlib import Path
 
 import pytest
 import torch
 
-from bodyseg_data.bodies.anny_model import load_anny, parse_target
+from bodyseg_data.bodies.anny_model import _import_rotations, load_anny, parse_target
 from bodyseg_data.core import BadConfig
 
 full_model = pytest.importorskip("anny.models.full_model")
@@ -45,6 +46,15 @@ def test_a_filled_cache_is_not_parsed_again(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("bodyseg_data.bodies.anny_model.parse_target", None)
     load_anny.__wrapped__()  # type: ignore[attr-defined]  # not the one that tests share
     assert full_model.load_blend_shape is before
+
+
+def test_anny_is_imported_without_the_compiler_of_pytorch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which would take two seconds of every process that makes bodies."""
+    for name in ["torch._dynamo", *(name for name in sys.modules if name.partition(".")[0] == "roma")]:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.delattr(torch, "_dynamo", raising=False)
+    _import_rotations()
+    assert "roma" in sys.modules and "torch._dynamo" not in sys.modules and "_dynamo" not in vars(torch)
 
 
 def test_a_user_without_a_home_is_told_to_set_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,7 @@ from folders import HELPERS
 from processes import start_interruptible
 from servers import free_port
 
-# Optimisers and Anny load Dynamo, two and a half seconds; renderers load SciPy and NetworkX; nodes of Dask are eight.
+# Optimisers load Dynamo, two and a half seconds; renderers load SciPy and NetworkX; nodes of Dask are eight.
 _LIBRARIES = ("torch", "torch._dynamo", "numba", "scipy.stats", "networkx", "distributed")
 _OURS = ("bodyseg_data.loading.range_images", "bodyseg_data.loading.workers", "bodyseg_model.training.loop")
 
