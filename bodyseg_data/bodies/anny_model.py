@@ -59,16 +59,12 @@ def _import_rotations() -> None:
     """Import roma, which Anny imports, without PyTorch's compiler, which takes two seconds: roma wants it only to
     except two functions from compiling. A roma that wants more of it is left to Anny's own import.
     """
-    import torch
-
-    if "torch._dynamo" in sys.modules:
-        return
-    stand_in: Any = SimpleNamespace(disable=lambda function: function)
-    torch._dynamo = stand_in
-    with suppress(Exception):
-        import_module("roma")
-    if vars(torch)["_dynamo"] is stand_in:  # unless something has imported the compiler
-        del torch._dynamo
+    if "torch._dynamo" not in sys.modules:
+        torch = vars(import_module("torch"))
+        torch["_dynamo"] = SimpleNamespace(disable=lambda function: function)
+        with suppress(Exception):
+            import_module("roma")
+        del torch["_dynamo"]  # the compiler, where one was imported after all, is found again when it is asked for
 
 
 @contextmanager
