@@ -130,11 +130,11 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
 def test_patterns_choose_what_rows_say() -> None:
     places = [(215, 0), (255, 10), (295, 20)]
     views = [(d, a + turn) for turn in range(0, 180, 30) for d, a in places]
-    keys = [f"open-C-C-squat-{body:03d}-d{d}-a{a:03d}" for body in range(100) for d, a in views]
+    keys = [Path(f"open-C-C-squat-{body:03d}-d{d}-a{a:03d}") for body in range(100) for d, a in views]
     found = {}
     for each in ROWS:
         if each.group in ("amount", "views") and each.only:
-            chosen = [key for key in keys if any(Path(key).match(pattern) for pattern in each.only)]
+            chosen = [key.name for key in keys if any(key.match(pattern) for pattern in each.only)]
             bodies = {key.split("-")[4] for key in chosen}
             found[each.name] = (
                 len(bodies), len({key[-4:] for key in chosen}), len({key.split("-")[5] for key in chosen})

@@ -6,6 +6,7 @@ import ast
 import inspect
 import pkgutil
 from collections.abc import Iterator, Sequence
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 from typing import Final
@@ -63,15 +64,25 @@ def public_names() -> str:
 
 def home_of(module: str, name: str) -> str:
     """Return the module that defines what `module` offers by this name, through as many doors as there are."""
-    for node in ast.walk(ast.parse(inspect.getsource(import_module(module)))):
-        if isinstance(node, ast.ImportFrom) and node.module and name in (alias.name for alias in node.names):
-            return home_of(node.module, name)
-    return module
+    source = _imported(module).get(name)
+    return module if source is None else home_of(source, name)
+
+
+@cache
+def _imported(module: str) -> dict[str, str]:
+    """Name -> the module that `module` imports it from, the first one."""
+    nodes = [node for node in ast.walk(_tree(module)) if isinstance(node, ast.ImportFrom)]
+    return {alias.name: node.module for node in reversed(nodes) if node.module for alias in node.names}
+
+
+@cache
+def _tree(module: str) -> ast.Module:
+    return ast.parse(inspect.getsource(import_module(module)))
 
 
 def documentation(module: str, name: str) -> str:
     """Return the docstring of what a module defines by this name, also that of a constant, which stands below it."""
-    statements = ast.parse(inspect.getsource(import_module(module))).body
+    statements = _tree(module).body
     for node, after in zip(statements, [*statements[1:], None], strict=True):
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
             return ast.get_docstring(node) or ""
