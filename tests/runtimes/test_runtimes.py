@@ -103,7 +103,7 @@ def test_runtimes_give_torchs_labels(backend: str, precision: Any) -> None:
 @pytest.mark.parametrize("backend", ["onnxruntime", "openvino"])
 def test_threads_that_share_a_network_get_their_own_scores(backend: str) -> None:
     pytest.importorskip(backend)
-    network = on_backend(load_network().network, backend)
+    network = on_backend(build("compact", TINY, seed=3).eval(), backend)
     images = [1 + torch.rand(1, 1, 64, 64) for _ in range(4)]
     expected = list(map(network.scores, images))
     with ThreadPoolExecutor(4) as threads:
@@ -145,7 +145,7 @@ def test_signals_have_a_stack_after_networks_are_gone(elsewhere: bool) -> None:
 @pytest.mark.usefixtures("one_thread")
 def test_a_fork_computes_though_a_thread_of_its_parent_was_about_to() -> None:
     pytest.importorskip("openvino")
-    network, image = on_backend(load_network().network, "openvino"), torch.ones(1, 1, 64, 64)
+    network, image = on_backend(build("compact", TINY, seed=3).eval(), "openvino"), torch.ones(1, 1, 64, 64)
     expected = network.scores(image)
     assert isinstance(network, RuntimeNetwork)
     (session,) = network._sessions.values()
