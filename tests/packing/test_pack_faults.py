@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
 import resource
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, Trouble, _forked, contents, left_over
-from fakes import FiguresEntry
+from fakes import FiguresEntry, figures_are_open
 from folders import ROOT
 from small_rig import SMALL
 
@@ -41,14 +43,22 @@ def interrupted(memory_folder: Path) -> Iterator[Interrupted]:
         yield Interrupted(PACKING, memory_folder)
 
 
+@pytest.fixture(scope="module")
+def small_process() -> Iterator[ProcessPoolExecutor]:
+    """A process of its own: dozens of forks of that of the tests, which keeps much, would take most of the time."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("forkserver"), figures_are_open) as process:
+        yield process
+
+
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_trouble_at_any_operation_leaves_nothing_half_written_and_the_same_bytes_in_the_end(
-    trouble: Trouble, interrupted: Interrupted
+    trouble: Trouble, interrupted: Interrupted, small_process: ProcessPoolExecutor
 ) -> None:
     assert interrupted.operations > 30
     first = 1 + TROUBLES.index(trouble) % 3  # BODYSEG_FULL tries all operations, else every third
     step = 1 if os.environ.get("BODYSEG_FULL") else 3
-    assert not interrupted.all_at(trouble, range(first, interrupted.operations + 1, step))
+    operations = range(first, interrupted.operations + 1, step)
+    assert not small_process.submit(interrupted.all_at, trouble, operations).result()
 
 
 def test_what_is_half_written_would_be_seen(interrupted: Interrupted, tmp_path: Path) -> None:

@@ -65,8 +65,8 @@ def test_its_people_are_in_no_other_set(source: HardBodies) -> None:
     figures = [source.figure(ref) for ref in source.bodies()]
     others = {person(index) for index in range(PEOPLE)}
     assert len({figure.who for figure in figures}) == 37 and not {figure.who for figure in figures} & others
-    poses = {figure.pose for figure in figures}
-    assert len(poses) == 60 and not poses & {OpenBodies().figure(ref).pose for ref in OpenBodies().bodies()[:71]}
+    poses, ordinary = {figure.pose for figure in figures}, OpenBodies()
+    assert len(poses) == 60 and not poses & {ordinary.figure(ref).pose for ref in ordinary.bodies()[:71]}
     assert 10 <= sum(figure.outfit is not None for figure in figures) <= 15
     assert len({figure.outfit for figure in figures}) >= 4
     statures = [figure.who.stature_m for figure in figures]
