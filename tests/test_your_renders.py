@@ -41,8 +41,6 @@ BLOCK: Final = re.compile(r"^```(bash|python)\n(.*?)^```", re.DOTALL | re.MULTIL
 @pytest.fixture(scope="module")
 def program() -> Iterator[ModuleType]:
     skip_without_opengl()
-    from bodyseg_data.rendering import opengl
-
     spec = spec_from_file_location("robot_cell", DOCS / "examples" / "robot_cell.py")
     assert spec is not None and spec.loader is not None
     found = module_from_spec(spec)
@@ -50,7 +48,6 @@ def program() -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gc.collect", lambda: 0)  # each of pyrender's renderers, as it goes, looks at all that tests keep
         yield found
-    opengl._context = None  # pyrender's renderers, as they go, close EGL's display for all of the process
 
 
 def steps_of(document: Path) -> Iterator[tuple[str, list[str] | str]]:

@@ -8,8 +8,7 @@ import os
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import numpy as np
@@ -45,7 +44,7 @@ MOST_FACES = 2**24  # a face's index is drawn as a colour of three bytes
 class OpenGLRenderer(Renderer):
     """Renderer of one mesh, which stays in the graphics driver's memory, for any number of cameras.
 
-    All renderers of a process share one OpenGL context under a lock, so threads may use them at the same time.
+    All renderers of a process share one OpenGL context and its thread, so threads may use them at the same time.
     Surfaces less than 10 mm in front of the camera's plane are clipped; Embree renders all in front of that plane.
 
     Raises BadMesh for a mesh of more than 16.7 million faces, MissingLibrary if no driver can be opened, BadConfig in
@@ -170,22 +169,24 @@ class _SingleSampleRenderer(pyrender.Renderer):  # type: ignore[misc]
 
 
 class _Context:
-    """The process's OpenGL context, guarded by a lock, so any thread may draw."""
+    """The process's OpenGL context, which one thread draws in for all.
+
+    It stays current there: pyrender's renderers close EGL's display for all as they go, those of the user's program
+    too, and by EGL's rules only contexts that are current somewhere outlive that.
+    """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._process = os.getpid()
+        self._thread = ThreadPoolExecutor(1, "opengl")
         try:
-            self._window = pyrender.OffscreenRenderer(1, 1)
+            self._window = self._thread.submit(pyrender.OffscreenRenderer, 1, 1).result()
         except Exception as error:  # platforms differ: EGL errors, assertions, X errors, lookups
             cause = " ".join(str(error).split()) or type(error).__name__
             where = f"nothing can be opened on PYOPENGL_PLATFORM={_PLATFORM!r} ({cause})"
             hint = f"egl needs no display, and drivers in software are in {SOFTWARE_DRIVER}"
             install = f"apt-get install {SOFTWARE_DRIVER}"
             raise MissingLibrary(f"{_FEATURE}: {where}; {hint}: {install}; {_ALTERNATIVE}") from error
-        self._renderer = _SingleSampleRenderer()
-        self._window._renderer = self._renderer
-        self._release()
+        self._window._renderer = self._renderer = self._thread.submit(_SingleSampleRenderer).result()
 
     def check_process(self) -> None:
         """Raise BadConfig in a fork of the process that opened the context, where drivers hang."""
@@ -194,39 +195,20 @@ class _Context:
 
     def draw(self, scene: Any, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         self.check_process()
+        return self._thread.submit(self._draw, scene, rows, columns).result()
+
+    def _draw(self, scene: Any, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         flags = pyrender.RenderFlags
-        with self._current():
-            self._renderer.viewport_width, self._renderer.viewport_height = columns, rows
-            # Embree hits both sides of a triangle, so both are drawn here.
-            picture: tuple[NDArray[np.float32], NDArray[np.uint8]] = self._renderer.render(
-                scene, flags.OFFSCREEN | flags.FLAT | flags.SKIP_CULL_FACES
-            )
+        self._renderer.viewport_width, self._renderer.viewport_height = columns, rows
+        # Embree hits both sides of a triangle, so both are drawn here.
+        picture: tuple[NDArray[np.float32], NDArray[np.uint8]] = self._renderer.render(
+            scene, flags.OFFSCREEN | flags.FLAT | flags.SKIP_CULL_FACES
+        )
         return picture
 
     def remove_mesh(self, mesh: Any) -> None:
         if self._process == os.getpid():  # in a fork, context and mesh belong to the parent
-            with self._current():
-                self._renderer.remove_mesh(mesh)
-
-    @contextmanager
-    def _current(self) -> Iterator[None]:
-        with self._lock:
-            self._window._platform.make_current()
-            try:
-                yield
-            finally:
-                self._release()
-
-    def _release(self) -> None:
-        """Detach the context from this thread: only one thread may have it current."""
-        if _PLATFORM == "egl":  # where pyrender does nothing
-            from OpenGL import EGL
-
-            EGL.eglMakeCurrent(
-                self._window._platform._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
-            )
-        else:
-            self._window._platform.make_uncurrent()
+            self._thread.submit(self._renderer.remove_mesh, mesh).result()
 
 
 _context: _Context | None = None
@@ -234,7 +216,7 @@ _context_lock = threading.Lock()
 
 
 def _shared_context() -> _Context:
-    """The one context of the process: opening one is slow, and closing one on EGL closes the display of all."""
+    """The one context of the process: opening one is slow."""
     global _context
     with _context_lock:
         if _context is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import sys
 import threading
@@ -58,6 +59,20 @@ def test_two_meshes_may_be_open_and_closing_one_leaves_the_other() -> None:
     second.close()
     np.testing.assert_array_equal(first.render(camera).range, before.range)
     first.close()
+
+
+def test_a_program_that_draws_with_pyrender_itself_may_close_its_renderers() -> None:
+    import pyrender
+
+    camera = RIG.placed(ball().centre, FRONT)[0]
+    with contextlib.closing(open_renderer("opengl", ball())) as renderer:
+        before = renderer.render(camera)
+        for _ in range(2):  # the second takes the memory that the driver has freed with the first
+            its = pyrender.OffscreenRenderer(8, 8)
+            its.delete()  # closes EGL's display for all of the process
+            np.testing.assert_array_equal(renderer.render(camera).range, before.range)
+    (after,) = see("opengl", ball(), camera)
+    np.testing.assert_array_equal(after.range, before.range)
 
 
 def test_threads_may_draw() -> None:
