@@ -88,13 +88,15 @@ def reported(where: object, raises: type[Exception], *caught: type[Exception]) -
         raise raises(f"{where}: {words or str(error) or type(error).__name__}" if where else str(error)) from error
 
 
-def check_int(name: str, value: Any, least: int) -> int:
-    """Return `value` as an int. Raises BadConfig, calling it `name`, unless it is a whole number of at least `least`.
+def check_int(name: str, value: Any, least: int, most: float = math.inf) -> int:
+    """Return `value` as an int. Raises BadConfig, calling it `name`, unless it is a whole number of at least `least`
+    and at most `most`.
 
     A bool is refused; NumPy's integers are accepted.
     """
-    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
-        raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
+    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:
+        rule = f"of at least {least}" if most == math.inf else f"from {least} to {most}"
+        raise BadConfig(f"{name} must be a whole number {rule}, found {value!r}")
     return int(value)
 
 

@@ -15,6 +15,6 @@ if TYPE_CHECKING:
         require_libraries,
         required,
     )
-    from bodyseg_data.machine.threads import of_each, pieces, torch_threads, wait_briefly
+    from bodyseg_data.machine.threads import MOST_THREADS, of_each, pieces, torch_threads, wait_briefly
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

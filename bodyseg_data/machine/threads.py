@@ -9,10 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import TypeVar
+from typing import Final, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+MOST_THREADS: Final = 1024
+"""Threads, or processes, that a user may ask for: OpenMP ends the process where the system starts no more."""
 
 
 def pieces(count: int, parts: int) -> list[tuple[int, int]]:

@@ -22,7 +22,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.core import BadConfig, BodysegError, check_int
 from bodyseg_data.machine import required
 from bodyseg_data.packing.jobs import Engine
 from bodyseg_data.packing.options import PACKING_VERSION, Packing, evenly_sampled, forget_sources
@@ -154,7 +154,8 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
         try:
             scheduler = f"{address[0]}:{address[1]}"
             found = _checked_workers(client, wanted, scheduler)
-            yield Engine(_Cluster(client, wanted, scheduler), workers or found)
+            count = found if workers is None else check_int("workers", workers, 1)
+            yield Engine(_Cluster(client, wanted, scheduler), count)
         finally:
             with suppress(Exception):  # a scheduler that is gone cannot be told that this client goes
                 client.close(CONNECT_TIMEOUT_S)

@@ -24,8 +24,6 @@ def open_engine(name: str, workers: int | None, packing: Packing) -> Iterator[En
     not give the same bytes; MissingLibrary without `distributed`.
     """
     address = check_engine(name)
-    if workers is not None and workers < 1:
-        raise BadConfig(f"packing needs at least one worker, found {workers}")
     if address is None:
         with processes(workers) as engine:
             yield engine

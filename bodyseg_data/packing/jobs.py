@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
-from bodyseg_data.core import BadConfig, reported, signals_held
-from bodyseg_data.machine import processors
+from bodyseg_data.core import BadConfig, check_int, reported, signals_held
+from bodyseg_data.machine import MOST_THREADS, processors
 
 Result = TypeVar("Result")
 
@@ -53,7 +53,7 @@ def ordered(jobs: Iterable[Callable[[], Future[Result]]], workers: int) -> Gener
 @contextmanager
 def processes(workers: int | None) -> Iterator[Engine]:
     """`workers` processes, or one a processor; after an error they are killed instead of waited for."""
-    count = processors() if workers is None else workers
+    count = processors() if workers is None else check_int("workers", workers, 1, MOST_THREADS)
     # One thread of linear algebra a worker: with one worker a processor, more only get in each other's way.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

@@ -12,9 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, BadSample, ProgressCallback, check_int, silent
 from bodyseg_data.files import parse_json, write_atomically
-from bodyseg_data.machine import processors
+from bodyseg_data.machine import MOST_THREADS, processors
 from bodyseg_data.packing.shard_writer import ShardWriter
 from bodyseg_data.packing.writing import writing_into
 from bodyseg_data.renders import Render, RenderSource
@@ -70,7 +70,7 @@ def pack_renders(
         fields=source.fields,
         codec=codec,
         shard_samples=shard_samples,
-        workers=processors() if workers is None else workers,
+        workers=processors() if workers is None else check_int("workers", workers, 0, MOST_THREADS),
         progress=lambda done, _: progress(done, len(keys)),
     ) as writer:
         with writing_into(out):

@@ -115,7 +115,7 @@ def pack_rooms(
         _things_of(own, digest)  # read before anything is written
         source += f", with things of digest {digest}"
     with (
-        processes(workers if workers is None else check_int("workers", workers, 1)) as engine,
+        processes(workers) as engine,
         ShardWriter(
             out,
             rig=rig,

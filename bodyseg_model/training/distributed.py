@@ -9,7 +9,7 @@ import torch.distributed
 
 from bodyseg_data.core import check_int
 from bodyseg_data.loading import find_rank
-from bodyseg_data.machine import processors
+from bodyseg_data.machine import MOST_THREADS, processors
 from bodyseg_model.networks import find_device
 
 
@@ -55,7 +55,9 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 
 def use_threads(count: int | None) -> int:
-    """Set the number of threads of torch and return it; None: `processors` at most. Raises BadConfig below one."""
+    """Set the number of threads of torch and return it; None: `processors` at most. Raises BadConfig below one, and
+    above `MOST_THREADS`.
+    """
     most = min(torch.get_num_threads(), processors())
-    torch.set_num_threads(most if count is None else check_int("--threads", count, 1))
+    torch.set_num_threads(most if count is None else check_int("--threads", count, 1, MOST_THREADS))
     return torch.get_num_threads()

@@ -197,7 +197,10 @@ def test_a_checkout_that_was_never_installed_has_a_version(monkeypatch: pytest.M
             ["shard", "--source", "open", "--out", "x", "--views", "55"],
             "views a mesh must be between 1 and 54, found 55",
         ),
-        (["shard", "--source", "open", "--out", "x", "--workers", "0"], "packing needs at least one worker, found 0"),
+        (
+            ["shard", "--source", "open", "--out", "x", "--workers", "0"],
+            "workers must be a whole number from 1 to 1024, found 0",
+        ),
         (
             ["shard", "--source", "open", "--plan", "--engine", "dask"],
             "the engine must be processes or dask://HOST:PORT",

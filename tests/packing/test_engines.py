@@ -521,10 +521,11 @@ def test_hosts_may_be_names_and_addresses() -> None:
     assert check_engine("dask://[::1]:1") == ("[::1]", 1)
 
 
-def test_an_engine_has_a_worker() -> None:
+@pytest.mark.parametrize("count", [0, 1025, 2**31])
+def test_an_engine_has_workers_that_a_machine_can_start(count: int) -> None:
     with (
-        pytest.raises(BadConfig, match="packing needs at least one worker, found 0"),
-        open_engine("processes", 0, PACKING),
+        pytest.raises(BadConfig, match=f"workers must be a whole number from 1 to 1024, found {count}"),
+        open_engine("processes", count, PACKING),
     ):
         pass
 

@@ -172,7 +172,6 @@ def test_the_command_plans_packs_and_refuses(
     wrong = {
         "needs --samples": [],
         "samples must be": ["--samples", "0"],
-        "workers must be": ["--samples", "1", "--workers", "0"],
         "found 'sofas'": ["--samples", "1", "--without", "sofas"],
         "--views does not go with --source rooms": ["--samples", "1", "--views", "2"],
         "--path does not go with --source rooms": ["--samples", "1", "--path", "x"],
