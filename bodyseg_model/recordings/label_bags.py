@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import held_part
 from bodyseg_data.labels import BACKGROUND, LabelMap
+from bodyseg_model.recordings.bag_files import McapBag
 from bodyseg_model.recordings.bag_messages import IMAGE, bag_library, typestore
 from bodyseg_model.recordings.recording import Frame, Stamp
 
@@ -36,11 +37,13 @@ _DATATYPES: Final = {"u1": 2, "u2": 4, "f4": 7}
 def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Iterator[LabelsOut]:
     """Open the file of a recording's labels: it appears when the block ends, and not at all if it fails.
 
-    path: an .mcap file. frames_per_second: of frames without times.
+    path: an .mcap file, which may be there if it holds labels. frames_per_second: of frames without times.
     Raises BadConfig for another path or one that cannot be written, MissingLibrary.
     """
     if path.suffix.lower() != ".mcap" or path.is_dir():
         raise BadConfig(f"labels are written into an .mcap file, found {path}")
+    if path.exists() and not _holds_labels(path):  # as the first of `*.mcap`, which a shell gives to the option
+        raise BadConfig(f"labels replace an earlier file of labels alone, found {path}")
     with reported(f"cannot write {path}", BadConfig, OSError), held_part(path, Path.touch) as part:
         with part.open("wb") as file:
             writer = bag_library("mcap.writer").Writer(file)
@@ -49,6 +52,12 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
             writer.add_metadata(LEGEND, legend(label_map))
             writer.finish()
         part.replace(path)
+
+
+def _holds_labels(path: Path) -> bool:
+    with contextlib.suppress(BadConfig, OSError):
+        return {topic.name for topic in McapBag(path).topics} <= {TOPIC, POINTS_TOPIC}
+    return False
 
 
 def legend(label_map: LabelMap) -> dict[str, str]:

@@ -121,6 +121,15 @@ def test_bad_input_is_one_line(
     assert message in refused(capsys, "fit", frames, *words)
 
 
+def test_a_picture_never_replaces_a_frame(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As in `--picture frames/*.png`, where the option gets the first of the files."""
+    first, *others = sorted(frames.iterdir())
+    before = first.read_bytes()
+    said = refused(capsys, "fit", "--focal", "450", "--nearer-than", "1.5", "--picture", first, *others)
+    assert f"--picture must not replace a frame, found {first}" in said
+    assert first.read_bytes() == before
+
+
 def test_the_models_that_ship_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("show", "--help") == 0
     words = capsys.readouterr().out.replace(",", " ").split()

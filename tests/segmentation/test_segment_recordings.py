@@ -119,7 +119,7 @@ def test_points_go_out_beside_labels(tmp_path: Path, capsys: pytest.CaptureFixtu
     words = (tmp_path / "a.npy", "--focal", "100", "--out", tmp_path / "out", "--points")
     assert "--points are written beside labels: give --labels-out, too" in refused(capsys, *words)
     path = tmp_path / "labels.mcap"
-    assert run(*words, "--labels-out", path) == 0
+    assert run(*words[:-1], "--labels-out", path) == run(*words, "--labels-out", path) == 0, "labels replace labels"
     with path.open("rb") as file:
         messages = list(make_reader(file, validate_crcs=True).iter_messages(topics="/bodyseg/points"))
     assert len(messages) == 5
@@ -165,6 +165,10 @@ def test_labels_never_replace_the_recording_that_they_are_of(
     for given, path in ((bag, bag), (bag, tmp_path / "link.mcap"), (folder, folder / "part.mcap")):
         said = refused(capsys, given, "--out", tmp_path / "out", "--labels-out", path)
         assert said == f"bodyseg segment: --labels-out must lie outside --out and the frames, found {path}"
+    words = ("--labels-out", bag, write_mcap(tmp_path / "run.mcap", sent()), "--out", tmp_path / "out")
+    assert f"labels replace an earlier file of labels alone, found {bag}" in refused(capsys, *words), "of *.mcap"
+    (tmp_path / "cut.mcap").write_bytes(held[:100])
+    assert "an earlier file of labels alone" in refused(capsys, bag, "--labels-out", tmp_path / "cut.mcap", *words[-2:])
     assert bag.read_bytes() == (folder / "part.mcap").read_bytes() == held and not (tmp_path / "out").exists()
 
 
