@@ -130,6 +130,11 @@ class Mesh:
             raise BadMesh(f"mesh {self.name}: {rule}, found {extent:.3g} m{self._remedy}")
         self._check_orientation()
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Make a copy's arrays read-only, as of a mesh that came from another process: pickled ones are not."""
+        vars(self).update(state)
+        self.vertices.flags.writeable = self.faces.flags.writeable = False
+
     def _check_orientation(self) -> None:
         """Raise BadMesh unless neighbours agree and the whole and each closed piece enclose a positive volume.
 

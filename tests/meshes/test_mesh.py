@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import copy
+import pickle
 import sys
 from collections.abc import Callable
 
@@ -37,9 +39,10 @@ def test_vertex_normals_are_means_by_area_and_zero_without_faces() -> None:
 
 
 def test_a_mesh_cannot_be_changed() -> None:
-    mesh = ball()
-    with pytest.raises(ValueError, match="read-only"):
-        mesh.vertices[0] = 0
+    for mesh in (ball(), pickle.loads(pickle.dumps(ball())), copy.deepcopy(ball())):
+        for array in (mesh.vertices, mesh.faces):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 0
 
 
 def test_a_mesh_prints_its_name_and_size() -> None:
