@@ -160,9 +160,14 @@ class ColumnWriter:
         name, shards = self._name, self._set.shards
         if name in (*self._set.planes, *self._set.fields.kinds):
             raise BadConfig(f"{self._folder}: the set itself has {name!r} already")
-        listed = name in column_names(LocalFolder(self._folder))  # not yet where a writer was killed before its end
-        if listed and (self._folder / column_file(name)).exists():
+        Fields((*self._set.fields.tables, *self._fields.tables))  # raises BadShard where the set then had too many
+        beside = column_names(LocalFolder(self._folder))  # not yet where a writer was killed before its end
+        if name in beside and (self._folder / column_file(name)).exists():
             raise BadConfig(f"{self._folder} has the column {name!r}: delete {column_file(name)} to write it anew")
+        self._counted = [name]  # fields of columns that count where samples may come to have too many
+        if len(self._set.fields.kinds) + len(beside) >= MOST_FIELDS:
+            columns = (read_column(self._folder, self._set, each) for each in beside if each != name)
+            self._counted += [each for column in columns for each in column.fields.kinds]
         self._places = {key: (at, index) for at, shard in enumerate(shards) for index, key in enumerate(shard.keys)}
         self._held: list[dict[int, dict[str, bytes]]] = [{} for _ in shards]
         self._records: dict[int, ShardRecord] = {}
@@ -208,10 +213,9 @@ class ColumnWriter:
         value = float(value) if self._kind == "float" and type(value) is int else value
         if kind_of(value, self._name) != self._kind:
             raise BadSample(f"field {self._name!r} must be of the kind {self._kind}, found {value!r}")
-        own = {self._name: value}
-        if len(self._set.fields.kinds) >= MOST_FIELDS:  # else none has too many: to look them up takes milliseconds
-            shard.descriptions.info(index, shard.split).with_fields(**own)
-        return {"json": json.dumps(SampleInfo(shard.split, own).to_json(), sort_keys=True).encode()}
+        if len(self._set.fields.kinds) + len(self._counted) > MOST_FIELDS:  # to look them up takes milliseconds
+            shard.descriptions.info(index, shard.split).with_fields(**dict.fromkeys(self._counted, 0))
+        return {"json": json.dumps(SampleInfo(shard.split, {self._name: value}).to_json(), sort_keys=True).encode()}
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         with self._claim or contextlib.ExitStack():

@@ -30,6 +30,7 @@ from bodyseg_data.shards.records import (
     BLOCK,
     LARGEST_SAMPLE,
     LARGEST_SHARD,
+    MOST_TABLES,
     Entry,
     Fields,
     ShardRecord,
@@ -43,7 +44,6 @@ from bodyseg_data.shards.store import Store
 
 LARGEST_PIECE: Final = 1 << 26
 """Largest piece, bytes."""
-_MOST_TABLES: Final = 4096  # of fields; each sample has few of them
 
 _HEADER: Final = struct.Struct("<3I")
 """Numbers of samples and tables; bytes of the text. Each table's number of rows follows."""
@@ -277,7 +277,7 @@ class Piece:
         if len(data) < _HEADER.size:
             raise BadShard(f"{where}: {len(data)} bytes are no index of a shard")
         count, tables, text_size = _HEADER.unpack_from(data)
-        if tables > _MOST_TABLES or _HEADER.size + 4 * tables > len(data):
+        if tables > MOST_TABLES or _HEADER.size + 4 * tables > len(data):
             raise BadShard(f"{where}: {len(data)} bytes cannot hold the sizes of {tables} tables")
         self._where = where
         counts = np.frombuffer(data, "<u4", tables, _HEADER.size).tolist()

@@ -23,6 +23,9 @@ LARGEST_SAMPLE: Final = 1 << 30
 LARGEST_SHARD: Final = 1 << 40
 """Largest size of a shard, bytes."""
 
+MOST_TABLES: Final = 4096
+"""Largest number of fields of a set, and so of their tables; each sample has few of them."""
+
 _COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
 _RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, "tables", "rows"}
 _SHARD_NAME: Final = re.compile(r"[a-z]+-[0-9]{5,9}(?:\.[a-z][a-z0-9_]*)?\.tar")
@@ -39,7 +42,7 @@ class Fields:
 
     tables: the fields of each table, as (name, kind); kinds are those of `FIELD_KINDS`. Fields of one table change
     together, such as those of a body, or of a view; each of its rows is stored once a shard. Raises BadShard for a name
-    given twice or that is none, or a kind that is none.
+    given twice or that is none, a kind that is none, or too many fields.
     """
 
     tables: tuple[tuple[tuple[str, str], ...], ...] = ()
@@ -52,6 +55,8 @@ class Fields:
     def __post_init__(self) -> None:
         if len(self.kinds) != sum(map(len, self.tables)):
             raise BadShard("a field of descriptions is named once")
+        if len(self.kinds) > MOST_TABLES:
+            raise BadShard(f"a set has at most {MOST_TABLES} fields, found {len(self.kinds)}")
         for name, kind in self.kinds.items():
             with reported("", BadShard, BadSample):
                 check_field_name(name)

@@ -21,6 +21,7 @@ from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Split, check_key
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import OutputArrays
+from bodyseg_data.shards.index import encode_piece
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import BLOCK, BODY_FIELDS, Entry, Fields, ShardRecord, describe, location, read_checked
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
@@ -31,7 +32,7 @@ class TarWriter:
     """Writer of one shard to the file `aside`, which is renamed to `path` on success and removed after an error.
 
     Owners, modes and times in the tar are fixed, so the same samples give the same bytes. fields: of descriptions in
-    the set. record: the shard's record, once it is closed.
+    the set. record: the shard's record, once it is closed. Raises BadShard for one too large for an index.
     """
 
     record: ShardRecord
@@ -82,8 +83,6 @@ class TarWriter:
                 self._file.flush()
                 os.fsync(self._file.fileno())
                 self._file.close()
-                self._aside.replace(self._path)
-                sync(self._path.parent)
                 keys, offsets, lengths, crc32 = zip(*self._entries, strict=True)
                 self.record = ShardRecord(
                     name=self._path.name,
@@ -97,6 +96,9 @@ class TarWriter:
                     notes=tuple(self._notes),
                     descriptions=describe(self._infos, self._fields),
                 )
+                encode_piece(self.record)  # else an index of all would not be written, at the end of a long packing
+                self._aside.replace(self._path)
+                sync(self._path.parent)
         finally:
             # Closing flushes, which fails again on a full disk; unless it was renamed, the file is removed in any case.
             with contextlib.suppress(OSError):

@@ -509,6 +509,19 @@ def test_names_of_the_first_scene_that_are_none_are_of_a_bad_sample(tmp_path: Pa
         writer.write(**scene())
 
 
+def test_what_an_index_could_not_hold_is_refused_before_it_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many = {f"f{number}": "int" for number in range(4097)}
+    with pytest.raises(BadShard, match="^a set has at most 4096 fields, found 4097$"):
+        ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES, fields=many)
+    monkeypatch.setattr("bodyseg_data.shards.index.LARGEST_PIECE", 50)
+    told = pytest.raises(BadShard, match="^train-00000.tar: its index takes [0-9]+ bytes, at most 50: use smaller")
+    with told, ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES, shard_samples=1, workers=0) as writer:
+        writer.write(**scene())
+    assert not list(tmp_path.rglob("*.tar*"))
+
+
 def test_a_key_too_long_for_the_name_of_a_plane_is_one_line_and_the_writer_goes_on(tmp_path: Path) -> None:
     planes = {"material_ids": np.zeros((16, 20), np.uint8)}
     with ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES) as writer:

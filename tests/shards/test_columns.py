@@ -234,6 +234,16 @@ def test_a_field_beyond_those_that_a_description_may_have_is_refused(tmp_path: P
     refused = pytest.raises(BadSample, match="^scene: a description has at most 64 fields, found 65$")
     with refused, ColumnWriter(tmp_path / "set", "more", "int") as column:
         column.write("scene", 3)
+    with ShardWriter(tmp_path / "one_left", rig=rig, classes=["a"], projector="none") as out:
+        fewer = {**fields}
+        del fewer["f0"]
+        out.write(key="scene", range_m=ranges, labels=labels, fields=fewer)
+    for name, kind, value in (("more", "int", 3), ("instances", "uint8", labels)):
+        with ColumnWriter(tmp_path / "one_left", name, kind) as column:
+            column.write("scene", value)
+    refused = pytest.raises(BadSample, match="^scene: a description has at most 64 fields, found 65$")
+    with refused, ColumnWriter(tmp_path / "one_left", "other", "int") as column:
+        column.write("scene", 3)
     with ColumnWriter(tmp_path / "set", "instances", "uint8") as column:
         column.write("scene", labels)
     assert RangeImages(tmp_path / "set", "none", columns="instances").clean(0).info.fields == fields
