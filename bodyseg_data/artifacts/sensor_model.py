@@ -61,8 +61,8 @@ class SensorModel:
         object.__setattr__(self, "artifacts", tuple(given))
         for artifact in self.artifacts:
             check_artifact_class(type(artifact), f"sensor {self.name}")
-        with reported(f"sensor {self.name}: strengths must be plain JSON", BadConfig, TypeError, ValueError):
-            artifacts_to_json(self.artifacts)
+        with reported(f"sensor {self.name}: title and strengths must be plain JSON", BadConfig, TypeError, ValueError):
+            json.dumps(self.to_json(), ensure_ascii=False).encode()  # half of a pair of surrogates is no letter
         for what, names in _DISTINCT.items():
             owners: dict[str, str] = {}
             for artifact in self.artifacts:
