@@ -154,7 +154,7 @@ def test_an_artifact_must_be_frozen_and_of_a_kind_with_strengths_in_json() -> No
     for make in (lambda: SensorModel("mine", (Uniform(),)), lambda: PAPER.with_artifacts(Uniform())):
         with pytest.raises(BadConfig, match=r"sensor \w+: 'noise' is the name of another artifact, found Uniform"):
             make()
-    with pytest.raises(BadConfig, match="sensor mine: title and strengths must be plain JSON: Object of type PosixPath is not"):
+    with pytest.raises(BadConfig, match="title and strengths must be plain JSON: Object of type PosixPath is not"):
         SensorModel("mine", (Filed(),))
     with pytest.raises(BadConfig, match="an artifact must be a frozen dataclass, found Thawed"):
         SensorModel("mine", (Thawed(),))

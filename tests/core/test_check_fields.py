@@ -70,7 +70,7 @@ def test_the_message_names_class_field_rule_and_value() -> None:
         SensorModel("a", None)  # type: ignore[arg-type]
     with pytest.raises(BadConfig, match=r"^sensor a: the title must be text, found 3$"):
         SensorModel("a", title=3)  # type: ignore[arg-type]
-    with pytest.raises(BadConfig, match=r"^sensor a: title and strengths must be plain JSON: .*surrogates not allowed$"):
+    with pytest.raises(BadConfig, match=r"^sensor a: title and strengths must be plain JSON: .*surrogates"):
         SensorModel("a", title="half \ud800 of a pair, which a file would not give back")
 
 
