@@ -292,7 +292,9 @@ _ROS2_STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".m
 
 
 class _JoinedBags:
-    """The folder of a ROS 2 bag, whose files are read one after another. Raises BadConfig, MissingLibrary."""
+    """The folder of a ROS 2 bag, all of whose files' messages are in the order of time. Raises BadConfig,
+    MissingLibrary.
+    """
 
     def __init__(self, path: Path) -> None:
         files = sorted(path.glob("[!.]*"), key=lambda file: (len(file.name), file.name))
@@ -306,19 +308,21 @@ class _JoinedBags:
         for part in parts:
             for topic in part.topics:
                 homes.setdefault((topic.name, topic.kind), []).append((part, topic))
-        self._homes: dict[Topic, list[tuple[Bag, Topic]]] = {}
+        self._homes: dict[Topic, tuple[list[tuple[Bag, Topic]], NDArray[np.intp]]] = {}
         for name, kind in sorted(homes):
             topics = [topic for _, topic in homes[name, kind]]
-            joined = Topic(name, kind, topics[0].encoding, np.concatenate([topic.times_ns for topic in topics]))
-            self._homes[joined] = homes[name, kind]
+            times_ns = np.concatenate([topic.times_ns for topic in topics])
+            order = np.argsort(times_ns, kind="stable")  # files of several recorders, and of one, may overlap
+            self._homes[Topic(name, kind, topics[0].encoding, times_ns[order])] = homes[name, kind], order
         self.topics = list(self._homes)
 
     def read(self, topic: Topic, index: int) -> bytes:
-        homes = self._homes[topic]
+        homes, order = self._homes[topic]
+        place = int(order[index])
         ends = [*accumulate(len(of_part.times_ns) for _, of_part in homes)]
-        number = bisect_right(ends, index)
+        number = bisect_right(ends, place)
         part, of_part = homes[number]
-        return part.read(of_part, index - ends[number] + len(of_part.times_ns))
+        return part.read(of_part, place - ends[number] + len(of_part.times_ns))
 
 
 open_ros1, open_ros2 = partial(bag_recording, _Ros1Bag), partial(bag_recording, _JoinedBags)

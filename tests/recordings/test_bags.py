@@ -353,13 +353,14 @@ def test_messages_of_sqlite_may_be_compressed_or_lost(tmp_path: Path) -> None:
         open_recording(path, DEPTH)[0].read()
 
 
-def test_files_of_one_bag_are_joined(tmp_path: Path) -> None:
+def test_files_of_one_bag_are_joined_in_the_order_of_time(tmp_path: Path) -> None:
     folder = write_ros2(tmp_path / "a", stream(), StoragePlugin.MCAP)
-    write_mcap(folder / "a_10.mcap", [image(RAMP // 3, "16UC1")])
+    write_mcap(folder / "a_10.mcap", [image(RAMP // 3, "16UC1"), COLOUR, COLOUR, COLOUR, image(RAMP // 5, "16UC1")])
     (folder / "._a_10.mcap").write_bytes(b"")  # as macOS leaves beside files on other disks
     recording = open_recording(folder)
-    assert len(recording) == 4
-    np.testing.assert_array_equal(recording[3].read(), RAMP // 3)
+    assert [frame.time_s for frame in recording] == pytest.approx([1.0, 1.2, 1.4, 1.5, 1.8])
+    for frame, expected in zip(recording, (RAMP // 3, STACK[0], RAMP // 5, *STACK[1:]), strict=True):
+        np.testing.assert_array_equal(frame.read(), expected)
 
 
 def test_pieces_are_decompressed_up_to_a_limit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
