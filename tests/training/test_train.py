@@ -190,6 +190,20 @@ def test_what_a_card_cannot_hold_is_refused_at_the_start(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_program_that_computes_in_double_precision_is_told_so(small_set: Path, tmp_path: Path) -> None:
+    images = RangeImages(small_set, variant="all", split="train")
+    message = r"^weights and torch.get_default_dtype\(\) must be float32 in training, found torch.float64$"
+    with pytest.raises(BadConfig, match=message):
+        train(images, tmp_path / "run", build("compact", TINY, 0).double(), RECIPE_OF_TWO, device="cpu")
+    torch.set_default_dtype(torch.float64)
+    try:
+        with pytest.raises(BadConfig, match=message):
+            train(images, tmp_path / "run", build("compact", TINY, 0).float(), RECIPE_OF_TWO, device="cpu")
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:
     images = RangeImages(small_set, variant="all", split="train")
     with pytest.raises(BadConfig, match=r"of a class in NETWORKS.*found label_networks\.Places"):
