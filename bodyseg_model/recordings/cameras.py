@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import index
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -86,7 +87,8 @@ def frame_camera(
     where: a frame, for messages. Raises BadConfig for a rig of another image size, a size that no sensor is assumed
     for, or options that contradict each other.
     """
-    rows, columns = shape
+    with reported(f"shape must be (rows, columns), found {shape!r:.60}", BadConfig, TypeError, ValueError):
+        rows, columns = map(index, shape)
     shape = rows, columns  # no list of them would be equal to a tuple
     if rig is not None:
         if focal_px is not None or len(centre_px):

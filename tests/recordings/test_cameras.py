@@ -58,6 +58,8 @@ def test_the_assumed_sensors_have_a_size_of_their_own() -> None:
     ("shape", "options", "message"),
     [
         ((1, 1), {}, r"frames of 1 x 1 pixels: give --focal or --rig \(a.png\)$"),
+        ("kinect_v1", {}, r"^shape must be \(rows, columns\), found 'kinect_v1': "),
+        (525.0, {}, r"^shape must be \(rows, columns\), found 525.0: "),
         ((30, 40), {"rig": "paper"}, "the rig's camera, 640 x 329, found 30 x 40: a.png"),
         ((640, 329), {"rig": "paper", "focal_px": 5.0}, "^give either --rig or --focal and --centre$"),
         ((640, 329), {"rig": "papr"}, "no rig is called 'papr'"),
@@ -67,6 +69,6 @@ def test_the_assumed_sensors_have_a_size_of_their_own() -> None:
         ((30, 40), {"focal_px": float("nan")}, "focal_px must be above 0"),
     ],
 )
-def test_a_camera_that_cannot_be(shape: tuple[int, int], options: dict[str, Any], message: str) -> None:
+def test_a_camera_that_cannot_be(shape: Any, options: dict[str, Any], message: str) -> None:
     with pytest.raises(BadConfig, match=message):
         frame_camera(shape, "a.png", **options)
