@@ -96,6 +96,13 @@ def test_a_default_that_was_not_measured_is_refused() -> None:
         panels_of("codec", default="zip")
 
 
+def test_a_figure_that_is_missing_is_named() -> None:
+    unmeasured = {name: {**row, "range_error_mm": None} for name, row in RENDERERS["renderers"].items()}
+    message = r"^render.json: both images alone, processor time: 'range error, mm .*' of 'raster' must be a number, "
+    with pytest.raises(BadConfig, match=message + "found None$"):
+        panels_of("renderer", **RENDERERS | {"renderers": unmeasured})
+
+
 @pytest.mark.parametrize("defaults", [0, 2])
 def test_one_network_is_the_default(defaults: int) -> None:
     networks = figures_of("architectures")["networks"]

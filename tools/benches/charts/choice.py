@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal
 
@@ -54,7 +55,7 @@ class Choice:
 
     def panels(self, figures: Mapping[str, Any], file: Path) -> tuple[Panel, ...]:
         """The panels that `read` finds in the content of a file. Raises BadConfig, naming the file, for figures of
-        another kind, or if a default is not among the points.
+        another kind, if a default is not among the points, or for a figure that is no number, as null is none.
         """
         try:
             found = self.read(figures)
@@ -63,4 +64,10 @@ class Choice:
         for panel in found:
             if panel.default is not None and panel.default not in {point.name for point in panel.points}:
                 raise BadConfig(f"{file}: the default {panel.default!r} is not among: {panel.name}")
+            for point in panel.points:
+                places: tuple[tuple[Axis, Any], ...] = (self.x, point.x), (self.y, point.y)  # of JSON: anything
+                for axis, value in places:
+                    if not isinstance(value, Real):
+                        what = f"{axis.title!r} of {point.name!r}"
+                        raise BadConfig(f"{file}: {panel.name}: {what} must be a number, found {value!r}")
         return found
