@@ -81,6 +81,7 @@ def test_true_answers_have_no_error_and_a_network_without_places_has_scores_alon
     assert len(found.shown) > 0
     draw_dense(found, tmp_path / "dense.png")
     with Image.open(tmp_path / "dense.png") as picture:
+        assert picture.height > 2 * 320, "a row for each set, where all in one row would be tiny on a page"
         colours = np.asarray(picture.convert("RGB")).reshape(-1, 3)
     assert len(np.unique(colours, axis=0)) > 100
 

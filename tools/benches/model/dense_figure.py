@@ -26,19 +26,24 @@ _EMPTY: Final = (24, 26, 32)
 
 
 def draw_dense(figures: Figures, path: Path) -> None:
-    """Write a PNG of the images that `bench_dense` kept: true and found points side by side, found ones of people.
+    """Write a PNG of the images that `bench_dense` kept, a row for each set of images: true and found points side by
+    side, found ones of people.
 
     Raises BadConfig where no network gives points, or if the file cannot be written.
     """
-    panels = [panel for shown in figures.shown for panel in _panels(shown)]
-    if not panels:
+    if not figures.shown:
         raise BadConfig("none of the networks gives points of the template: nothing is to be drawn")
-    places = list(itertools.accumulate((max(panel.width, _LEAST_WIDTH) + _GAP for _, panel in panels), initial=_GAP))
-    sheet = Image.new("RGB", (places[-1], _HEIGHT + _HEAD + _GAP), PAPER)
+    sets = itertools.groupby(figures.shown, key=lambda shown: shown.where)
+    rows = [[panel for shown in of_set for panel in _panels(shown)] for _, of_set in sets]
+    widths = [[max(panel.width, _LEAST_WIDTH) + _GAP for _, panel in row] for row in rows]
+    step = _HEIGHT + _HEAD + _GAP
+    sheet = Image.new("RGB", (_GAP + max(map(sum, widths)), step * len(rows)), PAPER)
     pen = ImageDraw.Draw(sheet)
-    for left, (title, panel) in zip(places, panels, strict=False):
-        pen.text((left, 6), title, INK, font(15))
-        sheet.paste(panel, (left, _HEAD))
+    for number, (row, of_panels) in enumerate(zip(rows, widths, strict=True)):
+        places = itertools.accumulate(of_panels[:-1], initial=_GAP)
+        for left, (title, panel) in zip(places, row, strict=True):
+            pen.text((left, step * number + 6), title, INK, font(15))
+            sheet.paste(panel, (left, step * number + _HEAD))
     save_picture(sheet, path)
 
 

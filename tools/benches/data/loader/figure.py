@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.scales import thousands
 from bodyseg_data.drawing import new_chart, save_chart
 
 _OURS: Final = "#1f5ac8"
@@ -72,7 +73,7 @@ def _speeds(axis: Any, figures: dict[str, Any]) -> None:
             axis.plot(value, position, "o", markersize=6, color="white", alpha=1 - full, zorder=3)
         order = sorted(values)
         axis.annotate(
-            f"{order[0]:,.0f}",
+            thousands(order[0]),
             (order[0], position),
             (-8, 0),
             textcoords="offset points",
@@ -82,13 +83,13 @@ def _speeds(axis: Any, figures: dict[str, Any]) -> None:
         )
         if len(values) > 1:
             axis.annotate(
-                f"{order[-1]:,.0f}", (order[-1], position), (8, 0), textcoords="offset points", va="center", fontsize=9
+                thousands(order[-1]), (order[-1], position), (8, 0), textcoords="offset points", va="center", fontsize=9
             )
     axis.set_xscale("log")
     low, high = axis.get_xlim()
     axis.set_xlim(low / 1.25, high * 1.35)
     axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: thousands(value)))
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set_yticks(range(len(_TITLES)), _TITLES.values(), fontsize=10)
     axis.set_ylim(len(_TITLES) - 0.5, -0.5)
@@ -106,9 +107,9 @@ def _sizes(axis: Any, figures: dict[str, Any]) -> None:
             continue
         value = kept[name] / 1000
         axis.barh(position, value, color=_colour(name), height=0.5)
-        text = f" {value:,.0f}"
+        text = f" {thousands(value)}"
         if kept[name] > 1.02 * sent[name]:
-            text += f" ({sent[name] / 1000:,.0f} compressed)"
+            text += f" ({thousands(sent[name] / 1000)} compressed)"
         inside = value > 0.55 * most
         axis.text(
             value, position, text + " " * inside, va="center", fontsize=9,
