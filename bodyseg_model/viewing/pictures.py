@@ -45,6 +45,7 @@ WIDTH: Final = 1040
 _GAP: Final = 8
 _HEAD: Final = 32
 _NOTE: Final = 82  # three lines: the words of a sensor's draws, such as "noise 2 mm, 0% missing, 13% in patches"
+_NOTE_LINE: Final = 27
 _MOST_ROWS: Final = 420
 
 Viewpoint = Literal["points", "sensor", "camera"]
@@ -95,17 +96,23 @@ class Layout:
         return picked
 
     def draw(self, lines: Sequence[Sequence[Panel]]) -> NDArray[np.uint8]:
-        """All panels in one picture, sRGB uint8 [H, W, 3]; their images are of the size of `reduced`."""
-        sheet = Image.new("RGB", (WIDTH, self._line * len(lines) + _GAP), PAPER)
-        pen, small = ImageDraw.Draw(sheet), font(20)
+        """All panels in one picture, sRGB uint8 [H, W, 3]; their images are of the size of `reduced`. Notes below the
+        last line may have more than three lines, as those of a user's own sensor.
+        """
+        below = max(_NOTE_LINE * (1 + self._note(panel).count("\n")) - _NOTE for panel in lines[-1])
+        sheet = Image.new("RGB", (WIDTH, self._line * len(lines) + max(0, below) + _GAP), PAPER)
+        pen = ImageDraw.Draw(sheet)
         for number, line in enumerate(lines):
             for panel, (left, top, _, _) in zip(line, self.boxes(number), strict=False):
                 pen.text((left, top - _HEAD), panel.name, INK, font=font(24))
                 sheet.paste(Image.fromarray(panel.image), (left, top))
-                fits = small.getlength(panel.note) <= WIDTH / self.columns - _GAP
-                note = panel.note if fits else panel.note.replace(", ", ",\n")
-                pen.text((left, top + self.rows + 2), note, FAINT, font=small)
+                pen.text((left, top + self.rows + 2), self._note(panel), FAINT, font=font(20))
         return np.asarray(sheet)
+
+    def _note(self, panel: Panel) -> str:
+        """A panel's note, divided at commas if it is wider than the panel's place."""
+        fits = font(20).getlength(panel.note) <= WIDTH / self.columns - _GAP
+        return panel.note if fits else panel.note.replace(", ", ",\n")
 
     def boxes(self, line: int) -> list[tuple[int, int, int, int]]:
         """Left, top, width and height of the images of a line in the picture."""

@@ -44,9 +44,11 @@ def test_panels_lie_side_by_side_at_one_size() -> None:
     assert columns[0] > np.flatnonzero((picture == 200).all(-1).any(0))[-1]
 
 
-def test_words_of_a_sensors_draws_are_not_cut_off() -> None:
+@pytest.mark.parametrize("further", ["", ", 12 ghosts, 5% in bands, waves of 3 mm"])
+def test_words_of_a_sensors_draws_are_not_cut_off(further: str) -> None:
     layout = Layout.of(5, (40, 20))
-    panel = Panel("all", np.zeros((layout.rows, layout.width, 3), np.uint8), "noise 2 mm, 0% missing, 13% in patches")
+    note = f"noise 2 mm, 0% missing, 13% in patches{further}"
+    panel = Panel("all", np.zeros((layout.rows, layout.width, 3), np.uint8), note)
     picture = layout.draw([[panel] * 5])
     free = np.r_[:8, *(np.arange(left - 8, left) for left, *_ in layout.boxes(0)), WIDTH - 8 : WIDTH]
     assert (picture[:, free] == PAPER).all() and (picture[-8:] == PAPER).all()
