@@ -348,6 +348,22 @@ def test_files_at_an_address_are_replaced_only_when_asked(
     assert main(["push", str(mine), "breaking://box/set"]) == 0, "what arrived otherwise is removed"
 
 
+def test_a_column_that_the_set_no_longer_has_goes_from_an_address_when_asked(
+    mine: Path, breaking: type[Breaking]
+) -> None:
+    without = contents(mine)
+    with ColumnWriter(mine, "age", "int") as column:
+        for key in RangeImages(mine).keys:
+            column.write(key, 3)
+    pushed(mine, "breaking://box/set")
+    for path in (*mine.glob("*.age.tar"), mine / "age.column.json", mine / "columns.json"):
+        path.unlink()
+    pushed(mine, "breaking://box/set")
+    assert "breaking://box/set/columns.json" in breaking.store
+    pushed(mine, "breaking://box/set", replace=True)
+    assert {name.rpartition("/")[2]: file.getvalue() for name, file in breaking.store.items()} == without
+
+
 def test_a_set_is_not_copied_to_itself(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (mine / "train-00000.tar").write_bytes(b"damaged")
     before = contents(mine)
