@@ -1,8 +1,7 @@
 """Engines of a packing: processes of this machine, or a running Dask cluster. The bytes are the same."""
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Final
 
 from bodyseg_data.core import BadConfig
@@ -13,8 +12,7 @@ PROCESSES: Final = "processes"
 _DASK: Final = re.compile(r"dask://(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+):(\d{1,5})")
 
 
-@contextmanager
-def open_engine(name: str, workers: int | None, packing: Packing) -> Iterator[Engine]:
+def open_engine(name: str, workers: int | None, packing: Packing) -> AbstractContextManager[Engine]:
     """An engine for `packing`, open as long as the context; leaving it with an error drops the jobs under way.
 
     name: "processes", or "dask://HOST:PORT" of a running scheduler. workers: how many processes to start (default:
@@ -25,13 +23,10 @@ def open_engine(name: str, workers: int | None, packing: Packing) -> Iterator[En
     """
     address = check_engine(name)
     if address is None:
-        with processes(workers) as engine:
-            yield engine
-    else:
-        from bodyseg_data.packing.cluster import cluster
+        return processes(workers)
+    from bodyseg_data.packing.cluster import cluster
 
-        with cluster(address, workers, packing) as engine:
-            yield engine
+    return cluster(address, workers, packing)
 
 
 def check_engine(name: str) -> tuple[str, int] | None:
