@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadMesh, reported
-from bodyseg_data.files import parse_json, read_json, refuse_special
+from bodyseg_data.files import read_json, refuse_special, without_doubles
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
 from bodyseg_data.meshes import MeshContent
 
@@ -206,10 +206,9 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
         if path.suffix.lower() == ".npy":
             given: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory for a size that it claims
         else:
-            given = json.loads(data := path.read_bytes())
+            given = json.loads(path.read_bytes(), object_pairs_hook=without_doubles)
     if isinstance(given, dict):
-        with reported("", BadMesh, BadConfig):  # of a name that stands twice
-            return labels_of_parts(parse_json(data, str(path)), content, str(path))
+        return labels_of_parts(given, content, str(path))
     if isinstance(given, list) and given and all(isinstance(each, str) for each in given):
         place = {name: at for at, name in enumerate(dict.fromkeys(given))}
         table, given = dict(enumerate(place)), [place[name] for name in given]

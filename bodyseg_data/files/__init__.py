@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         refuse_special,
         sync,
         web_page,
+        without_doubles,
         write_atomically,
         write_json,
         write_result,

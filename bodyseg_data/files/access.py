@@ -233,7 +233,7 @@ def refuse_special(path: Path) -> None:
 def parse_json(data: bytes, where: str) -> dict[str, Any]:
     """The object in JSON text; `where` names its origin in messages. Raises BadConfig, also for a key that is twice."""
     try:
-        content = json.loads(data, object_pairs_hook=_without_doubles)
+        content = json.loads(data, object_pairs_hook=without_doubles)
     except (ValueError, RecursionError) as error:
         raise BadConfig(f"{where} is not JSON: {web_page(data) or error}") from error
     if not isinstance(content, dict):
@@ -241,7 +241,8 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
     return content
 
 
-def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON, for parsers. Raises ValueError for a key that stands twice."""
     tree = dict(pairs)  # of two values of a key the last
     if len(tree) < len(pairs):
         twice, _ = Counter(key for key, _ in pairs).most_common(1)[0]

@@ -474,7 +474,7 @@ def test_faults_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         write(tmp_path / "a.json", {"front": [8]})
         assert "must hold vertices 0 to 7, found 8" in reason(tmp_path)
     (tmp_path / "a.json").write_text('{"front": [0], "front": [1]}')
-    assert "a.json is not JSON: the key 'front' stands twice" in reason(tmp_path)
+    assert "a.json: the key 'front' stands twice" in reason(tmp_path)
     write(tmp_path / "a.json", {"front": [0.5]})
     assert "the part 'front' must be a list of vertices" in reason(tmp_path)
     for wrong in ([[0], [1, 2]], [10**30], "front", {"a": [0]}):
