@@ -89,8 +89,7 @@ def reported(where: object, raises: type[Exception], *caught: type[Exception]) -
 
 
 def check_int(name: str, value: Any, least: int, most: float = math.inf) -> int:
-    """Return `value` as an int. Raises BadConfig, calling it `name`, unless it is a whole number of at least `least`
-    and at most `most`.
+    """Return `value` as an int. Raises BadConfig, calling it `name`, unless it is a whole number, `least` to `most`.
 
     A bool is refused; NumPy's integers are accepted.
     """

@@ -6,9 +6,9 @@ the platform by PYOPENGL_PLATFORM; on Linux with neither that nor DISPLAY set, i
 
 import os
 import sys
-import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -63,6 +63,7 @@ class OpenGLRenderer(Renderer):
         self._scene.add(self._mesh)
         self._camera_node = self._scene.add(_Projection(np.eye(4)))
         self._context = _shared_context()
+        self._context.check_process()
 
     def render(self, camera: PlacedCamera) -> Surface:
         """See `Renderer.render`; the range is the depth at the exact centre of each pixel."""
@@ -211,18 +212,10 @@ class _Context:
             self._thread.submit(self._renderer.remove_mesh, mesh).result()
 
 
-_context: _Context | None = None
-_context_lock = threading.Lock()
-
-
+@cache
 def _shared_context() -> _Context:
-    """The one context of the process: opening one is slow."""
-    global _context
-    with _context_lock:
-        if _context is None:
-            _context = _Context()
-        _context.check_process()
-        return _context
+    """The one context of the process, as opening one is slow; threads that ask for the first at once get one each."""
+    return _Context()
 
 
 def _face_colours(count: int) -> NDArray[np.float32]:

@@ -50,7 +50,10 @@ def run(options: Options) -> int:
         raise BadConfig(f"--out must be a .toml file, found {options.out}")
     if options.picture is not None:
         check_picture(options.picture, "--picture")
-        _check_spared(options.picture)
+        held = recordings.open_recording(options.picture) if options.picture.is_file() else ()
+        if any(recordings.Skipping(1).read(frame) is not None for frame in held):  # as of `--picture *.png`
+            found = f"found {options.picture}: give it one name, behind the frames"
+            raise BadConfig(f"--picture must not replace a frame, {found}")
     SensorModel(options.name)  # a bad name is told before the measurement
     step_m = None if options.units is None else recordings.metres_a_step(options.units)
     skipping = recordings.Skipping(options.skip_unreadable)
@@ -85,12 +88,6 @@ def run(options: Options) -> int:
         sys.stderr.write(f"camera {camera.origin}: give --focal or --rig if it is another\n")
     sys.stderr.write("".join(f"skipped {frame['error']}\n" for frame in skipping.skipped))
     return 0
-
-
-def _check_spared(picture: Path) -> None:
-    """Raise BadConfig where a picture would replace a frame: `--picture *.png` is given the first of many."""
-    if picture.is_file() and recordings.Skipping(1).read(recordings.open_recording(picture)[0]) is not None:
-        raise BadConfig(f"--picture must not replace a frame, found {picture}: give it one name, behind the frames")
 
 
 def _quarters(

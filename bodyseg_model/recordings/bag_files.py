@@ -292,9 +292,7 @@ _ROS2_STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".m
 
 
 class _JoinedBags:
-    """The folder of a ROS 2 bag, all of whose files' messages are in the order of time. Raises BadConfig,
-    MissingLibrary.
-    """
+    """The folder of a ROS 2 bag: messages of all its files, in the order of time. Raises BadConfig, MissingLibrary."""
 
     def __init__(self, path: Path) -> None:
         files = sorted(path.glob("[!.]*"), key=lambda file: (len(file.name), file.name))

@@ -42,7 +42,8 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
     """
     if path.suffix.lower() != ".mcap" or path.is_dir():
         raise BadConfig(f"labels are written into an .mcap file, found {path}")
-    if path.exists() and not _holds_labels(path):  # as the first of `*.mcap`, which a shell gives to the option
+    held = {topic.name for topic in McapBag(path).topics} if path.exists() else set()
+    if not held <= {TOPIC, POINTS_TOPIC}:  # as the first of `*.mcap`, which a shell gives to the option
         raise BadConfig(f"labels replace an earlier file of labels alone, found {path}")
     with reported(f"cannot write {path}", BadConfig, OSError), held_part(path, Path.touch) as part:
         with part.open("wb") as file:
@@ -52,12 +53,6 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
             writer.add_metadata(LEGEND, legend(label_map))
             writer.finish()
         part.replace(path)
-
-
-def _holds_labels(path: Path) -> bool:
-    with contextlib.suppress(BadConfig, OSError):
-        return {topic.name for topic in McapBag(path).topics} <= {TOPIC, POINTS_TOPIC}
-    return False
 
 
 def legend(label_map: LabelMap) -> dict[str, str]:

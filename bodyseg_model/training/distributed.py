@@ -55,9 +55,7 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 
 def use_threads(count: int | None) -> int:
-    """Set the number of threads of torch and return it; None: `processors` at most. Raises BadConfig below one, and
-    above `MOST_THREADS`.
-    """
+    """Set the number of threads of torch, 1 to `MOST_THREADS`, and return it; None: `processors` at most."""
     most = min(torch.get_num_threads(), processors())
     torch.set_num_threads(most if count is None else check_int("--threads", count, 1, MOST_THREADS))
     return torch.get_num_threads()

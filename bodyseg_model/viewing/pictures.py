@@ -96,9 +96,8 @@ class Layout:
         return picked
 
     def draw(self, lines: Sequence[Sequence[Panel]]) -> NDArray[np.uint8]:
-        """All panels in one picture, sRGB uint8 [H, W, 3]; their images are of the size of `reduced`. Notes below the
-        last line may have more than three lines, as those of a user's own sensor.
-        """
+        """All panels in one picture, sRGB uint8 [H, W, 3]; their images are of the size of `reduced`."""
+        # Notes of the last line, such as of a user's own sensor, may have more than three lines.
         below = max(_NOTE_LINE * (1 + self._note(panel).count("\n")) - _NOTE for panel in lines[-1])
         sheet = Image.new("RGB", (WIDTH, self._line * len(lines) + max(0, below) + _GAP), PAPER)
         pen = ImageDraw.Draw(sheet)

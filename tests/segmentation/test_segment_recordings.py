@@ -168,7 +168,7 @@ def test_labels_never_replace_the_recording_that_they_are_of(
     words = ("--labels-out", bag, write_mcap(tmp_path / "run.mcap", sent()), "--out", tmp_path / "out")
     assert f"labels replace an earlier file of labels alone, found {bag}" in refused(capsys, *words), "of *.mcap"
     (tmp_path / "cut.mcap").write_bytes(held[:100])
-    assert "an earlier file of labels alone" in refused(capsys, bag, "--labels-out", tmp_path / "cut.mcap", *words[-2:])
+    assert "must be a whole MCAP file" in refused(capsys, bag, "--labels-out", tmp_path / "cut.mcap", *words[-2:])
     assert bag.read_bytes() == (folder / "part.mcap").read_bytes() == held and not (tmp_path / "out").exists()
 
 
