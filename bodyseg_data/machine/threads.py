@@ -14,8 +14,7 @@ from typing import Final, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-MOST_THREADS: Final = 1024
-"""Threads, or processes, that a user may ask for: OpenMP ends the process where the system starts no more."""
+MOST_THREADS: Final = 1024  # or processes that a user may ask for: OpenMP ends the process if it cannot start them
 
 
 def pieces(count: int, parts: int) -> list[tuple[int, int]]:

@@ -154,8 +154,8 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
         try:
             scheduler = f"{address[0]}:{address[1]}"
             found = _checked_workers(client, wanted, scheduler)
-            count = found if workers is None else check_int("workers", workers, 1)
-            yield Engine(_Cluster(client, wanted, scheduler), count)
+            executor = _Cluster(client, wanted, scheduler)
+            yield Engine(executor, found if workers is None else check_int("workers", workers, 1))
         finally:
             with suppress(Exception):  # a scheduler that is gone cannot be told that this client goes
                 client.close(CONNECT_TIMEOUT_S)

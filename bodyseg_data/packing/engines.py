@@ -21,8 +21,7 @@ def open_engine(name: str, workers: int | None, packing: Packing) -> AbstractCon
     Raises BadConfig for another name, for no worker, for a scheduler that does not answer, and for workers that would
     not give the same bytes; MissingLibrary without `distributed`.
     """
-    address = check_engine(name)
-    if address is None:
+    if (address := check_engine(name)) is None:
         return processes(workers)
     from bodyseg_data.packing.cluster import cluster
 

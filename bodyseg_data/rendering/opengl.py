@@ -47,8 +47,8 @@ class OpenGLRenderer(Renderer):
     All renderers of a process share one OpenGL context and its thread, so threads may use them at the same time.
     Surfaces less than 10 mm in front of the camera's plane are clipped; Embree renders all in front of that plane.
 
-    Raises BadMesh for a mesh of more than 16.7 million faces, MissingLibrary if no driver can be opened, BadConfig in
-    a process forked from one that has an OpenGL context.
+    Raises BadMesh for a mesh of more than 16.7 million faces, MissingLibrary if no driver can be opened; BadConfig when
+    it draws in a process forked from one that has an OpenGL context.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -63,7 +63,6 @@ class OpenGLRenderer(Renderer):
         self._scene.add(self._mesh)
         self._camera_node = self._scene.add(_Projection(np.eye(4)))
         self._context = _shared_context()
-        self._context.check_process()
 
     def render(self, camera: PlacedCamera) -> Surface:
         """See `Renderer.render`; the range is the depth at the exact centre of each pixel."""
@@ -189,13 +188,9 @@ class _Context:
             raise MissingLibrary(f"{_FEATURE}: {where}; {hint}: {install}; {_ALTERNATIVE}") from error
         self._window._renderer = self._renderer = self._thread.submit(_SingleSampleRenderer).result()
 
-    def check_process(self) -> None:
-        """Raise BadConfig in a fork of the process that opened the context, where drivers hang."""
-        if self._process != os.getpid():
-            raise BadConfig(f"{_FEATURE} cannot draw in a fork of a process that has drawn: start workers by 'spawn'")
-
     def draw(self, scene: Any, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        self.check_process()
+        if self._process != os.getpid():  # drivers would hang
+            raise BadConfig(f"{_FEATURE} cannot draw in a fork of a process that has drawn: start workers by 'spawn'")
         return self._thread.submit(self._draw, scene, rows, columns).result()
 
     def _draw(self, scene: Any, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -23,8 +23,7 @@ LARGEST_SAMPLE: Final = 1 << 30
 LARGEST_SHARD: Final = 1 << 40
 """Largest size of a shard, bytes."""
 
-MOST_TABLES: Final = 4096
-"""Largest number of fields of a set, and so of their tables; each sample has few of them."""
+MOST_TABLES: Final = 4096  # of fields, and so fields of a set; each sample has few of them
 
 _COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
 _RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, "tables", "rows"}

@@ -317,8 +317,7 @@ def transfer(
         refuse(outdated if held is None else [])
         # The index goes last: without one, wrong files would be taken for the user's own.
         outdated += [bundle.index] if held is not None and missing else []
-        if replace and held is not None and isinstance(target, RemoteTarget):
-            # Columns that were pushed before; in a folder they may be the user's own.
+        if replace and held is not None and isinstance(target, RemoteTarget):  # in a folder, columns may be its user's
             outdated += [name for name in superseded(target.store, bundle) if name != bundle.index]
     for name in outdated:
         target.remove(name)

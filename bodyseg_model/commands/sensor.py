@@ -52,8 +52,7 @@ def run(options: Options) -> int:
         check_picture(options.picture, "--picture")
         held = recordings.open_recording(options.picture) if options.picture.is_file() else ()
         if any(recordings.Skipping(1).read(frame) is not None for frame in held):  # as of `--picture *.png`
-            found = f"found {options.picture}: give it one name, behind the frames"
-            raise BadConfig(f"--picture must not replace a frame, {found}")
+            raise BadConfig(f"--picture must not replace a frame, found {options.picture}: name it behind the frames")
     SensorModel(options.name)  # a bad name is told before the measurement
     step_m = None if options.units is None else recordings.metres_a_step(options.units)
     skipping = recordings.Skipping(options.skip_unreadable)

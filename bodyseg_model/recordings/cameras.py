@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import index
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -88,7 +87,7 @@ def frame_camera(
     for, or options that contradict each other.
     """
     with reported(f"shape must be (rows, columns), found {shape!r:.60}", BadConfig, TypeError, ValueError):
-        rows, columns = map(index, shape)
+        rows, columns = shape
     shape = rows, columns  # no list of them would be equal to a tuple
     if rig is not None:
         if focal_px is not None or len(centre_px):

@@ -42,8 +42,7 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
     """
     if path.suffix.lower() != ".mcap" or path.is_dir():
         raise BadConfig(f"labels are written into an .mcap file, found {path}")
-    held = {topic.name for topic in McapBag(path).topics} if path.exists() else set()
-    if not held <= {TOPIC, POINTS_TOPIC}:  # as the first of `*.mcap`, which a shell gives to the option
+    if path.exists() and not {each.name for each in McapBag(path).topics} <= {TOPIC, POINTS_TOPIC}:  # of `*.mcap`
         raise BadConfig(f"labels replace an earlier file of labels alone, found {path}")
     with reported(f"cannot write {path}", BadConfig, OSError), held_part(path, Path.touch) as part:
         with part.open("wb") as file:

@@ -45,7 +45,6 @@ WIDTH: Final = 1040
 _GAP: Final = 8
 _HEAD: Final = 32
 _NOTE: Final = 82  # three lines: the words of a sensor's draws, such as "noise 2 mm, 0% missing, 13% in patches"
-_NOTE_LINE: Final = 27
 _MOST_ROWS: Final = 420
 
 Viewpoint = Literal["points", "sensor", "camera"]
@@ -98,7 +97,7 @@ class Layout:
     def draw(self, lines: Sequence[Sequence[Panel]]) -> NDArray[np.uint8]:
         """All panels in one picture, sRGB uint8 [H, W, 3]; their images are of the size of `reduced`."""
         # Notes of the last line, such as of a user's own sensor, may have more than three lines.
-        below = max(_NOTE_LINE * (1 + self._note(panel).count("\n")) - _NOTE for panel in lines[-1])
+        below = max(_NOTE // 3 * (1 + self._note(panel).count("\n")) - _NOTE for panel in lines[-1])
         sheet = Image.new("RGB", (WIDTH, self._line * len(lines) + max(0, below) + _GAP), PAPER)
         pen = ImageDraw.Draw(sheet)
         for number, line in enumerate(lines):

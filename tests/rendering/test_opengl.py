@@ -114,13 +114,13 @@ def test_too_many_faces_for_three_bytes(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")
 def test_a_fork_is_told_so_instead_of_hanging() -> None:
-    parent = open_renderer("opengl", ball())
+    parent, camera = open_renderer("opengl", ball()), RIG.placed(ball().centre, FRONT)[0]
     here, there = multiprocessing.Pipe()
 
     def forked() -> None:
         parent.close()
         try:
-            open_renderer("opengl", ball())
+            open_renderer("opengl", ball()).render(camera)
         except BadConfig as error:
             there.send(str(error))
 
