@@ -118,9 +118,7 @@ def symmetric(trunk: Trunk, arms: Arm, legs: Leg) -> Pose:
 
 
 def _unit(x: float, y: float, z: float) -> Matrix:
-    vector: Matrix = np.array([x, y, z])
-    vector /= np.linalg.norm(vector)
-    return vector
+    return np.asarray(np.array([x, y, z]) / np.linalg.norm([x, y, z]), np.float64)
 
 
 # Directions of the left limbs in the skeleton's reference pose.

@@ -161,14 +161,12 @@ class Mesh:
         closed = np.ones(piece.max() + 1, np.bool_)
         closed[piece[edges.ends[edges.faces == 1, 0]]] = False
         faces = self.faces[closed[piece[self.faces[:, 0]]]]
-        if not len(faces):
-            return np.inf
         owner = piece[faces[:, 0]]
         # Measured about one vertex of each piece: far from the piece, rounding would exceed its volume.
         first = np.unique(piece, return_index=True)[1]
         corners = self.vertices[faces] - self.vertices[first[owner]][:, None]
         volumes = np.bincount(owner, weights=signed_volumes(corners))
-        return float(volumes[np.unique(owner)].min())
+        return float(min(volumes[np.unique(owner)], default=np.inf))
 
     def pieces(self) -> NDArray[np.int32]:
         """Index of the connected piece of the surface that each vertex belongs to, int32 [V]."""
@@ -177,9 +175,7 @@ class Mesh:
     @cached_property
     def surface_vertices(self) -> Floats:
         """The vertices that faces use, float64 [N, 3], metres."""
-        used = np.zeros(len(self.vertices), np.bool_)
-        used[self.faces] = True
-        return self.vertices[used]
+        return self.vertices[np.bincount(self.faces.ravel(), minlength=len(self.vertices)) > 0]
 
     @cached_property
     def centre(self) -> Floats:

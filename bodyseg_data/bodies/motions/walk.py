@@ -7,7 +7,7 @@ angles are those of normal gait (Perry and Burnfield 2010, Gait Analysis, chapte
 import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -113,34 +113,29 @@ def _arm(gait: Gait, phase: float, number: int) -> Arm:
 
 def _leg(build: Build, gait: Gait, phase: float, strike: float, side: int) -> Leg:
     """Return the leg that strikes at phase `strike` of every stride, on the floor or swinging to the next strike."""
+    from scipy.interpolate import CubicHermiteSpline
+
     step = strike + math.floor(phase - strike)
     share = (phase - step - STANCE) / (1 - STANCE)
     if share < 0:
         return _stance(build, gait, step, phase, side)
-    return Leg(**{angle: float(spline(share)) for angle, spline in _swing(build, gait, step, side).items()})
-
-
-@lru_cache(maxsize=2)  # a leg's swing lasts for many frames
-def _swing(build: Build, gait: Gait, step: float, side: int) -> dict[str, Any]:
-    """Return the curves of a leg's angles over the share of its swing, after the stance that began at phase `step`."""
-    from scipy.interpolate import CubicHermiteSpline
-
     lift, land = step + STANCE, step + 1
     speed = (1 - STANCE) / _INSTANT
     start, end = _stance(build, gait, step, lift, side), _stance(build, gait, land, land, side)
     before = _stance(build, gait, step, lift - _INSTANT, side)
     after = _stance(build, gait, land, land + _INSTANT, side)
-    curves: dict[str, Any] = {}
+    swung: dict[str, float] = {}
     for field in fields(Leg):
         a, b, c, d = (getattr(leg, field.name) for leg in (start, end, before, after))
         knots = [(0.0, a, (a - c) * speed), (1.0, b, (d - b) * speed)]  # share, value, slope
         if field.name in _SWING:
             turning, value = _SWING[field.name]
             knots.insert(1, (turning, gait.hip if field.name == "flex" else value, 0.0))
-        curves[field.name] = CubicHermiteSpline(*zip(*knots, strict=True))
-    return curves
+        swung[field.name] = float(CubicHermiteSpline(*zip(*knots, strict=True))(share))
+    return Leg(**swung)
 
 
+@lru_cache(maxsize=16)  # all frames of a leg's swing lie between the same four
 def _stance(build: Build, gait: Gait, step: float, phase: float, side: int) -> Leg:
     """Return a leg at a phase of its stance, whose foot struck at phase `step`; side: 1 left, -1 right."""
     middle = step + _MIDDLE
