@@ -242,9 +242,9 @@ class ContactSampler:
         self._normals = vertex_normals(person.modelled, person.faces)
         self._legs: dict[Side, Limb] = {"L": Limb(person, "leg", "L"), "R": Limb(person, "leg", "R")}
         self._arms: dict[Side, Limb] = {"L": Limb(person, "arm", "L"), "R": Limb(person, "arm", "R")}
-        limbs = [*self._legs.values(), *self._arms.values()]
-        self._far = np.any([limb.far for limb in limbs], axis=0)
-        self._trunk = self._places.solid & ~np.any([limb.vertices for limb in limbs], axis=0)
+        self._limbs = [*self._legs.values(), *self._arms.values()]
+        self._far = np.any([limb.far for limb in self._limbs], axis=0)
+        self._trunk = self._places.solid & ~np.any([limb.vertices for limb in self._limbs], axis=0)
         lifted = np.any(
             [*(leg.far for leg in self._legs.values()), *(arm.vertices for arm in self._arms.values())], axis=0
         )
@@ -284,8 +284,7 @@ class ContactSampler:
             or vertices[self._places.solid, 1].min() < floor - _SHOULDER_M
         ):
             return None
-        limbs = [*self._legs.values(), *self._arms.values()]
-        return pose, (contacts["L"], contacts["R"]), deepest_m(vertices, normals, limbs, self._places.solid)
+        return pose, (contacts["L"], contacts["R"]), deepest_m(vertices, normals, self._limbs, self._places.solid)
 
     def _with_legs(self, stance: Stance, draws: np.random.Generator) -> tuple[Pose, float] | None:
         """Return a pose with hanging arms and the floor's height, or None if a leg does not reach."""
