@@ -204,8 +204,14 @@ WIDE_STANCES: Final[dict[str, WideStance]] = {
     ),
     "on the floor": WideStance(
         {"lean": (-35, 0), "bend": (0, 45), "twist": (-20, 20)} | _HEAD,
-        {"flex": (55, 120), "abduct": (0, 42), "twist": (-5, 45), "knee": (0, 130)}
-        | {"planted": (0, 0), "ankle": (0, 25)},
+        {
+            "flex": (55, 120),
+            "abduct": (0, 42),
+            "twist": (-5, 45),
+            "knee": (0, 130),
+            "planted": (0, 0),
+            "ankle": (0, 25),
+        },
     ),
     "kneeling": WideStance(
         {"lean": (-8, 25), "bend": (-5, 30), "side": (-10, 10), "twist": (-25, 25)} | _HEAD,
