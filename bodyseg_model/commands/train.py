@@ -31,7 +31,6 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
 from bodyseg_data.labels import PARTS33, TEMPLATE, LabelMap, label_map_names
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_data.machine import computes_bfloat16
 from bodyseg_data.samples import OccluderName, ReadSplit
 from bodyseg_model import networks, runtimes, training
 from bodyseg_model.networks import CardWords, CheckpointName
@@ -118,7 +117,8 @@ def run(options: Options) -> int:
         only_places=options.only_template,
         mirror=False if options.no_mirror else None,
         geometric_augmentation=training.GeometricAugmentation() if options.no_geometric_augmentation else None,
-        bf16=_bf16(options),
+        device=options.device,
+        bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
     if options.bust is not None:
         placed = replace(recipe.geometric_augmentation, bust=options.bust)
@@ -161,14 +161,6 @@ def run(options: Options) -> int:
         score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""
         sys.stderr.write(f"the network has the weights of step {card['step']} of {recipe.steps}{score}\n")
     return 0
-
-
-def _bf16(options: Options) -> bool | None:
-    """True if layers compute in bfloat16, None as the recipe says: a processor that must emulate it takes 8 times as
-    long as in float32.
-    """
-    emulated = networks.find_device(options.device).type == "cpu" and not computes_bfloat16()
-    return {"recipe": False if emulated else None, "float32": False, "bfloat16": True}[options.precision]
 
 
 def _open(

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from bodyseg_data.core import Checked, bounded, check_choice
+from bodyseg_data.machine import computes_bfloat16
+from bodyseg_model.networks import find_device
 
 OptimiserName = Literal["sgd", "adamw", "muon"]
 
@@ -125,7 +127,13 @@ else:
     RecipeName = Literal[tuple(PRESETS)]
 
 
-def recipe_for(name: str, **changes: Any) -> Recipe:
-    """The preset of a name, some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name."""
+def recipe_for(name: str, device: str | None = None, **changes: Any) -> Recipe:
+    """The preset of a name, some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name.
+
+    device: that computes, by default a GPU if there is one. On a processor that must emulate bfloat16, which takes 8
+    times as long as float32, layers compute in float32 unless `bf16` says otherwise.
+    """
     given = {field: value for field, value in changes.items() if value is not None}
+    if find_device(device).type == "cpu" and not computes_bfloat16():
+        given = {"bf16": False, **given}
     return dataclasses.replace(PRESETS[check_choice("the recipe", name, PRESETS)], **given)

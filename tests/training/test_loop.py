@@ -293,7 +293,8 @@ def test_the_order_of_samples_belongs_to_the_plan(small_set: Path, tmp_path: Pat
 def test_a_processor_that_must_emulate_bfloat16_trains_in_float32(
     small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_it: bool, precision: str, bf16: bool
 ) -> None:
-    monkeypatch.setattr("bodyseg_model.commands.train.computes_bfloat16", lambda: has_it)
+    monkeypatch.setattr("bodyseg_model.training.recipes.computes_bfloat16", lambda: has_it)
+    assert recipe_for("compact", device="cpu").bf16 is has_it and recipe_for("compact", device="cpu", bf16=True).bf16
     words = ["train", "--data", str(small_set), "--settings", json.dumps(TINY), "--num-workers", "0", "--threads", "1"]
     words += ["--batch-size", "1", "--steps", "1", "--precision", precision, "--device", "cpu"]
     assert main([*words, "--out", str(tmp_path / "run")]) == 0
@@ -346,7 +347,7 @@ def test_weights_of_parts_come_from_clean_samples(small_set: Path) -> None:
         (["--artifacts", "[]"], "--artifacts must be strengths by artifact"),
         (["--variant", "md", "--noise-mm", "5"], "a strength of noise is for a variant that has noise, found variant"),
         (["--losses", "0.2", "--artifacts", '{"losses": {}}'], "an artifact may be given once, found losses twice"),
-        (["--threads", "0"], "--threads must be a whole number of at least 1, found 0"),
+        (["--threads", "0"], "--threads must be a whole number from 1 to 1024, found 0"),
         (["--device", "cuda:77"], "cannot compute on the device 'cuda:77'"),
         (["--pretrained", "x.onnx"], "Compact starts from a run's folder or a .safetensors file, found x.onnx"),
         (["--log-every", "0"], "log_every must be at least 1, found 0"),
