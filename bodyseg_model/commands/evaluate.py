@@ -71,7 +71,8 @@ def run(options: Options) -> int:
     facts = _facts(options, trained)  # first, as files may change meanwhile
     picture = None if options.figures is None else evaluation.SamplePicture(sets[0].label_map)
     found = _evaluate(options, trained, sets, picture)
-    times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
+    timed = [sets[0][index]["range"][None] for index in sets[0].order(sets[0].epoch)[: options.frames].tolist()]
+    times = evaluation.time_frames(trained.network, timed) if timed else None
     scores = evaluation.report(found)
     seconds = {stage: round(value / 1000, 2) for stage, value in found.milliseconds.items()}
     described = [_describe(images, options.images, trained) for images in sets]
@@ -183,12 +184,6 @@ def _evaluate(
             )
             before += _count(images, options.images)
     return found
-
-
-def _times(trained: networks.Trained, images: loading.RangeImages, frames: int) -> dict[str, Any]:
-    """Time the network on the first images of the first set."""
-    chosen = images.order(images.epoch)[:frames].tolist()
-    return evaluation.time_frames(trained.network, [images[index]["range"][None] for index in chosen])
 
 
 def _facts(options: Options, trained: networks.Trained) -> dict[str, Any]:

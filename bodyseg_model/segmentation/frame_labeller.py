@@ -358,11 +358,10 @@ class LabelledRecording:
         at_once: as of `FrameLabeller.stream`; another thread then reads recordings. stamps: read the headers of frames'
         messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
         """
-        jobs = self._read_in_order(stamps)
-        with contextlib.closing(side_by_side(jobs, 1 if self.labeller.video else at_once)) as answers:
+        with contextlib.closing(side_by_side(self._jobs(stamps), 1 if self.labeller.video else at_once)) as answers:
             yield from (answer for answer in answers if answer is not None)
 
-    def _read_in_order(self, stamps: bool) -> Iterator[Callable[[], LabelledFrame | None]]:
+    def _jobs(self, stamps: bool) -> Iterator[Callable[[], LabelledFrame | None]]:
         for number, frame in enumerate(self.frames):
             if number == 0 or frame.sequence != self.frames[number - 1].sequence:
                 self.labeller.restart(numbers=number == 0)  # no person gets the number of one in another input

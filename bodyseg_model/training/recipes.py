@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from bodyseg_data.core import Checked, bounded, check_choice
 from bodyseg_data.machine import computes_bfloat16
-from bodyseg_model.networks import find_device
+from bodyseg_model import networks
 
 OptimiserName = Literal["sgd", "adamw", "muon"]
 
@@ -134,6 +134,6 @@ def recipe_for(name: str, device: str | None = None, **changes: Any) -> Recipe:
     times as long as float32, layers compute in float32 unless `bf16` says otherwise.
     """
     given = {field: value for field, value in changes.items() if value is not None}
-    if find_device(device).type == "cpu" and not computes_bfloat16():
+    if networks.find_device(device).type == "cpu" and not computes_bfloat16():
         given = {"bf16": False, **given}
     return dataclasses.replace(PRESETS[check_choice("the recipe", name, PRESETS)], **given)

@@ -520,6 +520,6 @@ def test_an_interrupted_evaluation_leaves_no_file(
 def test_without_a_run_the_network_that_ships_is_judged(
     figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runtimes, "load_network", lambda run, checkpoint: load_network(run or run_folder, checkpoint))
+    monkeypatch.setattr(runtimes, "load_network", lambda run: load_network(run or run_folder))
     assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
     assert json.loads((tmp_path / "x.json").read_text())["run"] is None
