@@ -63,7 +63,7 @@ def bench_shuffles(
 
 
 def _recipe(steps: int, shuffle: str) -> Recipe:
-    plain = {"bf16": False, "mirror": False, "geometric_augmentation": GeometricAugmentation()}
+    plain: dict[str, Any] = {"bf16": False, "mirror": False, "geometric_augmentation": GeometricAugmentation()}
     return recipe_for("compact", steps=steps, learning_rate=4e-3, shuffle=shuffle, **plain)
 
 
