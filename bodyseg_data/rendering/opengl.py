@@ -8,6 +8,7 @@ import os
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from typing import Any, Final
 
@@ -204,7 +205,8 @@ class _Context:
 
     def remove_mesh(self, mesh: Any) -> None:
         if self._process == os.getpid():  # in a fork, context and mesh belong to the parent
-            self._thread.submit(self._renderer.remove_mesh, mesh).result()
+            with suppress(RuntimeError):  # as Python ends, threads take no more work, and the mesh goes with all others
+                self._thread.submit(self._renderer.remove_mesh, mesh).result()
 
 
 @cache

@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,15 @@ def test_every_face_number_is_exact() -> None:
     points = camera.position + body_rays(camera)[seen] * surface.range[seen][:, None]
     middles = mesh.vertices[mesh.faces[surface.face[seen]]].mean(axis=1)
     assert np.linalg.norm(points - middles, axis=1).max() < 0.01
+
+
+def test_a_renderer_may_be_closed_as_python_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a generator, or an object's end, when threads take no more work."""
+    renderer = open_renderer("opengl", ball())
+    ended = ThreadPoolExecutor(1)
+    ended.shutdown()
+    monkeypatch.setattr(renderer._context, "_thread", ended)
+    renderer.close()
 
 
 def test_two_meshes_may_be_open_and_closing_one_leaves_the_other() -> None:
