@@ -60,6 +60,9 @@ def test_a_thread_has_as_many_threads_of_torch_as_its_caller() -> None:
     try:
         for number in (3, 1):
             torch.set_num_threads(number)
+            other = threading.Thread(target=torch.set_num_threads, args=(2,))  # whose number new threads would take
+            other.start()
+            other.join()
             assert list(side_by_side([torch.get_num_threads], 2)) == [number]
     finally:
         torch.set_num_threads(before)
