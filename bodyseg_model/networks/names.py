@@ -34,12 +34,12 @@ class RunFiles:
 
     @staticmethod
     def unfinished(folder: Path) -> bool:
-        """True if a run's folder has a checkpoint, and no network of that step or a later one."""
-        if not (folder / RunFiles.CHECKPOINT).exists():
-            return False
+        """True if a run's folder has a plan and no network yet, or a checkpoint of a later step than its network's."""
         card = (folder / RunFiles.NETWORK).with_suffix(".json")
         if not card.exists():
-            return True
+            return (folder / RunFiles.PLAN).exists()
+        if not (folder / RunFiles.CHECKPOINT).exists():
+            return False
         reached, step = read_json(card).get("last_step"), read_json(folder / RunFiles.CHECKPOINT).get("step")
         return isinstance(reached, int) and isinstance(step, int) and reached < step
 

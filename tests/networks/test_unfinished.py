@@ -71,6 +71,10 @@ def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(
 
 
 def test_a_run_that_names_no_network_is_refused(small_set: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(BadConfig, match="has no checkpoint yet$"):
+        load_network(tmp_path)
+    (tmp_path / "run.json").unlink()
     train(small_set, tmp_path, steps=1)
     (tmp_path / "run.json").write_text("{}")
     (tmp_path / "network.json").unlink()
