@@ -58,9 +58,7 @@ class Options:
     out: Path | None = option("folder that gets the export: a new one, or an earlier export's, which is replaced", None)
     format: FormatName | None = option("COCO's run lengths or panoptic PNGs, DensePose's parts, PNGs, LeRobot", None)
     coco: Path | None = option("in place of both: JSON file that gets COCO's run lengths, without ranges", None)
-    frames: tuple[Path, ...] = option(
-        "with a folder of `segment`: the frames that it labelled, to export their ranges, too", ()
-    )
+    frames: tuple[Path, ...] = option("with a folder of `segment`: the frames it labelled, to export their ranges", ())
     topic: str | None = option("of --frames: topic of a bag or array of an NPZ file (default: the only one)", None)
     variant: VariantName = option("with a set: artifacts of the ranges; labels are those without artifacts", "none")
     sensor: str = option("sensor model with the artifacts: the name of one that ships, or a TOML file", PAPER_SENSOR)

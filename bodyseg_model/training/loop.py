@@ -171,9 +171,8 @@ class Training:
             raise BadConfig(
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
-        for kind in (torch.get_default_dtype(), *(weights.dtype for weights in network.parameters())):
-            if kind != torch.float32:
-                raise BadConfig(f"weights and torch.get_default_dtype() must be float32 in training, found {kind}")
+        if kinds := {torch.get_default_dtype(), *(each.dtype for each in network.parameters())} - {torch.float32}:
+            raise BadConfig(f"weights and torch.get_default_dtype() must be float32 in training, found {kinds.pop()}")
         check_label_map(network, images.label_map)
         held_out = () if validation is None else validation.images
         for each in (*images.sets, *held_out):

@@ -130,8 +130,7 @@ else:
 def recipe_for(name: str, device: str | None = None, **changes: Any) -> Recipe:
     """The preset of a name, some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name.
 
-    device: that computes, by default a GPU if there is one. On a processor that must emulate bfloat16, which takes 8
-    times as long as float32, layers compute in float32 unless `bf16` says otherwise.
+    device: as of `train`. A processor that must emulate bfloat16, in 8 times the time, gets float32, unless `bf16` says.
     """
     given = {field: value for field, value in changes.items() if value is not None}
     if networks.find_device(device).type == "cpu" and not computes_bfloat16():

@@ -379,6 +379,15 @@ def test_leaving_early_leaves_no_thread(tmp_path: Path) -> None:
     assert not any(thread.name.startswith(("reading", "labelling")) for thread in threading.enumerate())
 
 
+def test_loops_are_loaded_before_threads_label_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or the first frames would be computed without them, to other last bits than one after another."""
+    done: list[str] = []
+    monkeypatch.setattr(Segmenter, "prepare", lambda segmenter: done.append("prepared"))
+    opened = labeller().recording(recording(tmp_path / "frames", 20, 24), focal_px=100.0)
+    done.extend("labelled" for _ in opened.labelled(at_once=2))
+    assert done == ["prepared", "labelled", "labelled"]
+
+
 def test_headers_are_read_where_they_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = labeller().recording(recording(tmp_path / "frames", 20), focal_px=100.0)
     monkeypatch.setattr(type(opened.frames[0]), "stamp", lambda frame: "header")
