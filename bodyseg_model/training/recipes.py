@@ -130,7 +130,7 @@ else:
 def recipe_for(name: str, device: str | None = None, **changes: Any) -> Recipe:
     """The preset of a name, some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name.
 
-    device: as of `train`. A processor that must emulate bfloat16, in 8 times the time, gets float32, unless `bf16` says.
+    device: as of `train`. A processor that must emulate bfloat16, 8 times slower, gets float32 unless `bf16` is given.
     """
     given = {field: value for field, value in changes.items() if value is not None}
     if networks.find_device(device).type == "cpu" and not computes_bfloat16():
