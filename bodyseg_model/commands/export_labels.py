@@ -142,7 +142,7 @@ def _annotations(options: Options, path: Path, opened: Callable[[ProgressCallbac
     """Write COCO's annotations alone, without ranges: into a new file, or in place of an earlier export's."""
     check_target(path, "--coco")
     with reported(f"cannot write {path}", BadConfig, OSError), Progress("exporting", "images") as progress:
-        if path.is_file() and not path.read_bytes().startswith(_BEGINNING.encode()):
+        if path.is_file() and np.fromfile(path, np.uint8, len(_BEGINNING)).tobytes() != _BEGINNING.encode():
             raise BadConfig(f"--coco must be a new file, or one of an earlier export, found {path}")
         label_map, images = opened(progress.update)
         with held_part(path, Path.mkdir) as part:
