@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept, also where the shell says otherwise: pip compiles none, and hundreds of processes are started.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-bounds test-rivals test-browser check check-types check-rules page docs lock dist audit clean
+.PHONY: install demo test test-benches test-bounds test-rivals test-browser check check-types check-rules page docs lock dist audit clean
 
 install: $(VENV)/.installed
 
@@ -23,11 +23,18 @@ demo: $(VENV)/.demo
 	@rm -rf demo
 	@PYTHONPATH=tools $(BIN)/python -m benches demo --out demo
 
+# Tests that run whole benches, small: a sixth of the time of all.
+MEASURING := tests/benches/data tests/benches/model
+
 # Two files of tests at a time, long ones first (tests/conftest.py), each with one thread of PyTorch: twice two threads
 # wait for each other.
 # Rules of structure are in `check`.
 test: install
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/test_structure.py
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/test_structure.py \
+		$(MEASURING:%=--ignore %)
+
+test-benches: install
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(MEASURING)
 
 # Folders and files whose tests call compiled loops.
 LOOPED := tests/machine tests/labels tests/artifacts tests/segmentation tests/training/test_geometric.py tests/training/test_mirror.py \

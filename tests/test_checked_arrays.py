@@ -30,10 +30,10 @@ IMAGE, LINES = np.ones((2, 3), np.uint16), np.ones(3, np.float32)
 
 def test_promises_are_read_from_docstrings() -> None:
     named, returned = promises(scaled.__doc__)
-    assert named == {"image": Promise("uint16", ("H", "W")), "lines": Promise("float32", ("W",))}
-    assert returned == Promise("float32", ("count", "W"))
-    assert promises("Draw labels: uint8 [H, W] -> sRGB uint8 [H, W, 3].")[1] == Promise("uint8", ("H", "W", "3"))
-    assert promises("x, y: bool [N]; z: int64 [2 N]")[0] == {name: Promise("bool", ("N",)) for name in "xy"}
+    assert named == {"image": Promise(("uint16",), ("H", "W")), "lines": Promise(("float32",), ("W",))}
+    assert returned == Promise(("float32",), ("count", "W"))
+    assert promises("Draw labels: uint8 [H, W] -> sRGB uint8 [H, W, 3].")[1] == Promise(("uint8",), ("H", "W", "3"))
+    assert promises("x, y: bool [N]; z: int64 [2 N]")[0] == {name: Promise(("bool",), ("N",)) for name in "xy"}
     assert promises("One, bool [N], of many, uint16 [N].")[1] is None
     assert promises(None) == ({}, None)
 

@@ -26,6 +26,13 @@ _NAMED = re.compile(rf"(?P<names>\w+(?:, \w+)*): {_KIND}")
 _RETURNED = re.compile(_KIND)
 _PROJECT = ("bodyseg_data.", "bodyseg_model.")
 _LENGTH = re.compile(r"\d+|[A-Za-z]\w*")
+_BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
+
+@functools.cache
+def _kind(dtype: Any) -> str:
+    """The name of an array's or a tensor's type."""
+    return str(dtype).removeprefix("torch.")
 
 
 class BrokenPromise(AssertionError):
@@ -36,19 +43,19 @@ class BrokenPromise(AssertionError):
 class Promise:
     """An array's type and the lengths of its axes."""
 
-    kind: str
+    kinds: tuple[str, ...]
     lengths: tuple[str, ...]
 
     def check(self, what: str, array: Any, known: dict[str, int]) -> None:
         """Compare an array with the promise; known: the lengths seen so far, which this one's are added to."""
-        kind, shape = str(array.dtype).removeprefix("torch."), tuple(int(size) for size in array.shape)
-        fits = kind in self.kind.split(" or ") and len(shape) == len(self.lengths)
+        kind, shape = _kind(array.dtype), tuple(array.shape)
+        fits = kind in self.kinds and len(shape) == len(self.lengths)
         if fits:
             for length, found in zip(self.lengths, shape, strict=True):
                 fits &= found == (int(length) if length.isdigit() else known.setdefault(length, found))
         if not fits:
             where = ", ".join(f"{name} = {length}" for name, length in known.items())
-            wanted = f"{self.kind} [{', '.join(self.lengths)}]"
+            wanted = f"{' or '.join(self.kinds)} [{', '.join(self.lengths)}]"
             raise BrokenPromise(f"{what} must be {wanted}, found {kind} {shape}" + (f" where {where}" if where else ""))
 
 
@@ -67,7 +74,7 @@ def _names(found: re.Match[str]) -> list[str]:
 
 def _promise(found: re.Match[str]) -> Promise | None:
     lengths = tuple(found["lengths"].split(", "))
-    return Promise(found["kind"], lengths) if all(map(_LENGTH.fullmatch, lengths)) else None
+    return Promise(tuple(found["kind"].split(" or ")), lengths) if all(map(_LENGTH.fullmatch, lengths)) else None
 
 
 def _check(what: str, made: Mapping[str, Promise], values: Mapping[str, Any], known: dict[str, int]) -> None:
@@ -79,17 +86,15 @@ def _check(what: str, made: Mapping[str, Promise], values: Mapping[str, Any], kn
 def checked(function: Callable[..., Any], what: str) -> Callable[..., Any]:
     """The function, which raises BrokenPromise where arguments or result differ from its docstring."""
     named, returned = promises(function.__doc__)
-    signature = inspect.signature(function)
-    named = {name: promise for name, promise in named.items() if name in signature.parameters}
+    parameters = inspect.signature(function).parameters
+    named = {name: promise for name, promise in named.items() if name in parameters}
     if not named and returned is None:
         return function
+    places = [name for name, parameter in parameters.items() if parameter.kind in _BY_PLACE]
 
     @functools.wraps(function)
     def wrapped(*arguments: Any, **options: Any) -> Any:
-        try:
-            values = signature.bind(*arguments, **options).arguments
-        except TypeError:
-            values = {}  # a wrong call, which the function itself refuses
+        values = dict(zip(places, arguments, strict=False)) | options  # a wrong call is refused by the function itself
         known = {name: value for name, value in values.items() if type(value) is int}
         result = function(*arguments, **options)  # first: a function that checks its arguments has messages of its own
         _check(what, named, values, known)
