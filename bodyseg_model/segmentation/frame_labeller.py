@@ -65,20 +65,6 @@ Labelling = Callable[[], LabelledFrame]
 """Labels a frame that has been read."""
 
 
-@dataclass
-class _Turns:
-    """Confidence in people at each turn of a recording's camera. judged: number of frames with people. confidence: for
-    each turn, the sum over these, float64 [4].
-    """
-
-    judged: int = 0
-    confidence: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
-
-    def means(self) -> NDArray[np.float64]:
-        """Mean confidence at each turn of the judged frames, float64 [4]; 0 for none."""
-        return self.confidence / max(self.judged, 1)
-
-
 class FrameLabeller:
     """Labels body parts of people in frames of any range sensor: of one array (a call), a `stream`, or a `recording`.
 
@@ -161,40 +147,35 @@ class FrameLabeller:
     def __repr__(self) -> str:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
 
-    def of(self, camera: Camera, turns: _Turns | None = None) -> tuple[Undistortion | None, Segmenter]:
-        """The undistortion of a camera's frames, None where they need none, and their segmenter. Raises BadConfig."""
+    def of(self, camera: Camera, auto: int | None = None) -> tuple[Undistortion | None, Segmenter]:
+        """The undistortion of a camera's frames, None where they need none, and their segmenter; auto: as of
+        `quarters`. Raises BadConfig.
+        """
         if not isinstance(camera, Camera):
             raise BadConfig(f"a frame needs its camera, like frame_camera((480, 640), 'mine').camera, found {camera!r}")
-        return self._segmenters(camera, self.quarters(camera, turns))
+        return self._segmenters(camera, self.quarters(camera, auto))
 
-    def quarters(self, camera: Camera, turns: _Turns | None = None) -> int:
+    def quarters(self, camera: Camera, auto: int | None = None) -> int:
         """Number of right angles by which the camera's frames are turned clockwise before they are labelled.
 
-        turns: of the camera's recording. Raises BadConfig where only that could tell.
+        auto: that number with `turned` "auto", as a recording tells it. Raises BadConfig where it must be known.
         """
         if self.tells_turn:
-            if turns is None:
+            if auto is None:
                 raise BadConfig("turned 'auto' is for recordings: other frames need their turn, like turned=90")
-            return int(turns.means().argmax())
+            return auto
         if self._turned is not None:
             return int(self._turned) // 90
         # As against the camera that the network was trained for, which may be turned itself.
         quarters = round((camera.roll_deg - self.rig.camera.roll_deg) / 90)
         return (-quarters if self.mirrored else quarters) % 4
 
-    def judge(self, turns: _Turns, range_m: NDArray[np.float32], camera: Camera) -> None:
-        """Note how sure the network is of its surest person in a frame, for each way of turning the frame.
-
-        range_m: without distortion. A frame in which it is sure of nobody does not count: things look alike at every
-        turn.
+    def surest(self, range_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
+        """How sure the network is of its surest person in a frame without distortion, for each way of turning the
+        frame, float64 [4]; 0 for nobody.
         """
-        surest = np.zeros(4)
-        for quarters in range(4):
-            answer = self._segmenter(camera, quarters=quarters, either_way=False)(range_m)
-            surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
-        if surest.max() >= _PERSON:
-            turns.judged += 1
-            turns.confidence += surest
+        bodies = (self._segmenter(camera, quarters=quarters, either_way=False)(range_m).bodies for quarters in range(4))
+        return np.array([max((float(body.confidence.mean()) for body in each), default=0.0) for each in bodies])
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
         """Label one frame.
@@ -310,10 +291,10 @@ class LabelledRecording:
         self, labeller: FrameLabeller, frames: Sequence[Frame], cameras: FrameCameras, skipping: Skipping
     ) -> None:
         self.labeller, self.frames, self.cameras, self._skipping = labeller, frames, cameras, skipping
-        self._turns = _Turns()
-        labeller.of(self.cameras.first.camera, self._turns)  # now, so that options that cannot be are refused
+        self._auto = 0
+        labeller.of(self.cameras.first.camera, self._auto)  # now, so that options that cannot be are refused
         if labeller.tells_turn:
-            self._turns = self._judged()
+            self._auto = int(self._sure_by_turn().argmax())
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -328,29 +309,33 @@ class LabelledRecording:
 
     def surer_turn_deg(self) -> int | None:
         """Turn of the frames, degrees, at which the network is surer by `_SURER` than as they are labelled; or None."""
-        means, used = self._judged().means(), self.turned_deg // 90
-        best = int(means.argmax())
-        return 90 * best if means[best] > means[used] + _SURER else None
+        sure, used = self._sure_by_turn(), self.turned_deg // 90
+        best = int(sure.argmax())
+        return 90 * best if sure[best] > sure[used] + _SURER else None
 
     @property
     def turned_deg(self) -> int:
         """Degrees by which the first frame's camera was mounted turned clockwise, as `FrameLabeller` takes them."""
-        return 90 * self.labeller.quarters(self.cameras.first.camera, self._turns)
+        return 90 * self.labeller.quarters(self.cameras.first.camera, self._auto)
 
-    def _judged(self) -> _Turns:
-        """Some frames with people from all over the recording, judged by how sure the network is at each turn."""
-        turns = _Turns()
+    def _sure_by_turn(self) -> NDArray[np.float64]:
+        """Mean of `FrameLabeller.surest` over some frames from all over the recording, float64 [4]; 0 for none.
+
+        A frame in which the network is sure of nobody does not count: things look alike at every turn.
+        """
+        judged = list[NDArray[np.float64]]()
         for frame in self.frames[:: -(-len(self) // _MOST_LOOKED_AT)]:
-            if turns.judged == _JUDGED:
+            if len(judged) == _JUDGED:
                 break
             with contextlib.suppress(BadConfig):  # a frame that cannot be read is reported when it is labelled
                 pixels, segmenter, _ = self.undistorted(frame, frame.read())
-                self.labeller.judge(turns, to_metres(pixels, frame.step_m), segmenter.camera)
-        return turns
+                surest = self.labeller.surest(to_metres(pixels, frame.step_m), segmenter.camera)
+                judged += [surest] if surest.max() >= _PERSON else []
+        return np.mean(judged, axis=0) if judged else np.zeros(4)
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frame takes no longer than others."""
-        self.labeller.of(self.cameras.first.camera, self._turns)[1].prepare()
+        self.labeller.of(self.cameras.first.camera, self._auto)[1].prepare()
 
     def labelled(self, at_once: int = 1, stamps: bool = False) -> Generator[LabelledFrame, None, None]:
         """Label the frames in order, without those that are skipped, as the numbers of the answers tell.
@@ -384,7 +369,7 @@ class LabelledRecording:
         """A frame's pixels without distortion, the segmenter for them, and the camera. Raises BadConfig, naming it."""
         camera = self.cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
         with reported(frame.where, BadConfig):
-            lens, segmenter = self.labeller.of(camera.camera, self._turns)
+            lens, segmenter = self.labeller.of(camera.camera, self._auto)
             return pixels if lens is None else lens(pixels), segmenter, camera
 
     def _read(
