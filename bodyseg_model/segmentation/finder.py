@@ -49,6 +49,7 @@ _LEVEL_M: Final = 0.1
 _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a head, metres
 _NEW_M2: Final = 0.002  # least surface at which a top begins
 _APART_M2: Final = 0.06  # least surface of what meets no other
+_SIDES: Final = ((0, 1, 0), (1, 1, 1), (0, 1, 0))  # cells that touch at a side are of one surface
 _FREE_M: Final = 0.05  # half the width over a top in which there is nothing else
 _FARTHEST_M: Final = 16.4  # beyond it, nothing is measured: as in recordings in floating point
 
@@ -326,7 +327,7 @@ def _heads(samples: _Samples, edge_m: float) -> list[int]:
     Row by row from the top, surfaces begin, grow and meet. A surface is a head if it is wide enough where it meets one
     that began higher, or if it never meets another and has nothing of the piece above it.
     """
-    loops, thin = compiled_loops(), max(1, int(samples.a_metre * _COARSE_M))
+    label, thin = _scipy("scipy.ndimage").label, max(1, int(samples.a_metre * _COARSE_M))
     kept = (samples.rows % thin == 0) & (samples.columns % thin == 0)
     a_metre, numbers = samples.a_metre / thin, np.flatnonzero(kept)
     rows, columns = ((each[kept] - each.min()) // thin for each in (samples.rows, samples.columns))
@@ -337,27 +338,27 @@ def _heads(samples: _Samples, edge_m: float) -> list[int]:
     around = np.minimum(np.minimum(z[:-2, 1:-1], z[2:, 1:-1]), np.minimum(z[1:-1, :-2], z[1:-1, 2:]))
     whole, shown = (number >= 0) & (z[1:-1, 1:-1] - around < edge_m), number >= 0
     least_height, least_area, least_width = _HEAD
-    tops, heads, level = list[int](), list[int](), max(1, round(_LEVEL_M * a_metre))  # of first cells
-    above, cells = np.full(whole.size, -1), np.zeros(whole.size, np.intp)  # cells: number of a surface's, at its first
+    tops, heads, level = dict[int, float](), list[int](), max(1, round(_LEVEL_M * a_metre))  # tops: first cell -> area
     for last in range(level, len(whole) + level, level):
-        areas_before = {top: cells[loops.first_of(above, top)] / a_metre**2 for top in sorted(tops)}
-        loops.join_rows(whole, last - level, min(last, len(whole)), above, cells)
-        together = dict[int, list[int]]()
-        for top in areas_before:
-            together.setdefault(loops.first_of(above, top), []).append(top)
+        surfaces, count = label(whole[:last], _SIDES)
+        surface, together = surfaces.ravel(), dict[int, list[int]]()
+        for top in sorted(tops):
+            together.setdefault(int(surface[top]), []).append(top)
         for met in together.values():
             for top in met[1:]:
-                height, area = (last - level - top // whole.shape[1]) / a_metre, areas_before[top]
+                height, area = (last - level - top // whole.shape[1]) / a_metre, tops[top]
                 if height >= least_height and area >= least_area and area >= least_width * height:
                     heads.append(top)
-        large = np.flatnonzero(cells / a_metre**2 >= _NEW_M2)
-        began = [int(first) for first in large if above[first] == first and first not in together]
-        tops = [met[0] for met in together.values()] + began
+        areas = np.bincount(surface) / a_metre**2
+        # Surfaces are numbered in reading order of their first cells.
+        first = np.searchsorted(np.maximum.accumulate(surface), np.arange(count + 1))
+        began = [int(first[new]) for new in np.flatnonzero(areas >= _NEW_M2) if new and new not in together]
+        tops = {top: float(areas[surface[top]]) for top in (*(met[0] for met in together.values()), *began)}
     side = max(1, int(_FREE_M * a_metre))
-    for top in tops:
+    for top, area in tops.items():
         row, column = divmod(top, whole.shape[1])
         beside = shown[:row, max(0, column - side) : column + side + 1]
-        if cells[loops.first_of(above, top)] / a_metre**2 >= _APART_M2 and not beside.any():
+        if area >= _APART_M2 and not beside.any():
             heads.append(top)
     return [int(number.ravel()[top]) for top in heads]
 

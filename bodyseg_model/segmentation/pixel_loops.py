@@ -97,36 +97,6 @@ def take_nearest(range_m: Any, jump: Any, rows: Any, columns: Any, seen: Any, va
                         best, found[i, j] = away, values[place]
 
 
-@_kernel
-def first_of(above: Any, cell: Any) -> Any:
-    """The first cell, in reading order, of a cell's surface; see `join_rows`."""
-    while above[cell] != cell:
-        above[cell] = above[above[cell]]
-        cell = above[cell]
-    return cell
-
-
-@_kernel
-def join_rows(whole: Any, first: Any, last: Any, above: Any, cells: Any) -> None:
-    """Join the cells of rows `first` to `last` of `whole`, bool [H, W], that touch at a side, to each other and to
-    those of the rows before, by unions of trees (Hoshen and Kopelman 1976). above: int [H * W], an earlier cell of the
-    same surface, or itself; -1 elsewhere. cells: int [H * W], how many a surface has, at its first.
-    """
-    width = whole.shape[1]
-    for i in range(first, last):
-        for j in range(width):
-            if not whole[i, j]:
-                continue
-            own = i * width + j
-            above[own], cells[own] = own, 1
-            for beside, touch in ((own - 1, j > 0 and whole[i, j - 1]), (own - width, i > 0 and whole[i - 1, j])):
-                if touch:
-                    one, other = first_of(above, beside), first_of(above, own)
-                    if one != other:
-                        above[max(one, other)] = min(one, other)
-                        cells[min(one, other)] += cells[max(one, other)]
-
-
 # Views.
 
 

@@ -13,7 +13,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from label_networks import Nearer, Places
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.rigs import Camera
@@ -21,7 +20,7 @@ from bodyseg_model.networks import build
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation import Background, find_bodies, finder
 from bodyseg_model.segmentation.finder import FinderView, part_people
-from bodyseg_model.segmentation.pixel_loops import AROUND, first_of, join_rows, spread_odds, take_nearest
+from bodyseg_model.segmentation.pixel_loops import AROUND, spread_odds, take_nearest
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -469,21 +468,6 @@ def test_a_pixel_takes_the_value_of_a_sample_of_its_own_surface() -> None:
     found, jump = np.full(range_m.shape, -1, np.int16), np.array([0.1, 0.04], np.float32)
     take_nearest(range_m, jump, np.zeros(2, np.intp), np.array([0, 1, 0]), seen, values, found)
     np.testing.assert_array_equal(found, [[5, 5, 6], [-1, 7, -1]])
-
-
-def test_surfaces_that_grow_by_rows_are_those_of_the_whole_image() -> None:
-    drawn = np.random.default_rng(0)
-    for share in (0.3, 0.5, 0.6, 0.7, 0.9):
-        whole = drawn.random((40, 30)) < share
-        above, cells = np.full(whole.size, -1), np.zeros(whole.size, np.intp)
-        for last in (7, 8, 25, 40):
-            join_rows(whole, {7: 0, 8: 7, 25: 8, 40: 25}[last], last, above, cells)
-            surfaces, count = ndimage.label(whole[:last])
-            for place in range(1, count + 1):
-                members = np.flatnonzero(surfaces == place)
-                assert {first_of(above, member) for member in members} == {members[0]}
-                assert cells[members[0]] == len(members)
-        assert (above[~whole.ravel()] == -1).all()
 
 
 class Spotted(Nearer):
