@@ -152,19 +152,6 @@ class Segmentation:
         return found_joints(self)
 
 
-@dataclass(frozen=True)
-class FoundBodies:
-    """The bodies of a frame, the largest first, each with what the network sees of it. range_m: the frame, turned
-    upright, float32 [H, W], metres; pixels are of it. milliseconds: of each of `STAGES` so far. unseen: what the finder
-    takes for people and no view can show.
-    """
-
-    range_m: NDArray[np.float32] = field(repr=False)
-    bodies: tuple[tuple[Found, BodyView], ...]
-    milliseconds: dict[str, float]
-    unseen: tuple[Found, ...] = ()
-
-
 def turned_image(image: NDArray[Any], quarters: int) -> NDArray[Any]:
     """An image [H, W] turned clockwise by right angles, in rows of its own; the image itself for none."""
     return np.ascontiguousarray(np.rot90(image, -quarters)) if quarters % 4 else image
@@ -281,28 +268,52 @@ class Segmenter:
         return f"Segmenter({type(self._network).__name__} on {device_of(self._network)}, {camera}, {self.background})"
 
     def __call__(self, range_m: NDArray[np.float32]) -> Segmentation:
-        """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured. Raises BadConfig as `find` and
-        `label`.
-        """
-        return self.label(self.find(range_m))
+        """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured. With `video`, frames must come
+        in order. Those that the network doubts too much to be people become things.
 
-    def find(self, range_m: NDArray[np.float32]) -> FoundBodies:
-        """Find the bodies of a frame that the network is to label: all that is done before the network.
-
-        range_m: as of a call. Keeps nothing from frame to frame. Raises BadConfig as `metres_of`, or for a body that no
-        view can show; in the background mode "people", where a wide camera meets one in a thousand, it is `unseen`.
+        Raises BadConfig as `metres_of`, or for a body that no view can show; in the background mode "people", where a
+        wide camera meets one in a thousand, that is a thing, too.
         """
-        range_m = metres_of(range_m, self.camera)
-        watch = Stopwatch(STAGES)
+        range_m, watch = metres_of(range_m, self.camera), Stopwatch(STAGES)
         with watch("find"):
             range_m = turned_image(range_m, self.quarters)
             # Mirrored frames are not turned: half of the images that finders are trained on are mirrored.
-            bodies = find_bodies(range_m, self._upright, self.background, self.finder)
+            found = find_bodies(range_m, self._upright, self.background, self.finder)
         with watch("resample"):
-            views = of_each(partial(self._view, range_m), [body.pixels for body in bodies], torch.get_num_threads())
-        both = list(zip(bodies, views, strict=True))
-        seen = tuple((body, view) for body, view in both if view is not None)
-        return FoundBodies(range_m, seen, watch.milliseconds, tuple(body for body, view in both if view is None))
+            views = of_each(partial(self._view, range_m), [body.pixels for body in found], torch.get_num_threads())
+        labels = np.full(range_m.shape, BACKGROUND, np.uint8)
+        seen, bodies, things = list[tuple[Found, BodyView]](), list[LabelledBody](), list[LabelledBody]()
+        for one, view in zip(found, views, strict=True):
+            if view is not None:
+                seen.append((one, view))
+                continue
+            median_m, nothing = float(np.median(range_m.ravel()[one.pixels])), np.zeros(len(one.pixels), np.float32)
+            things.append(LabelledBody(one.pixels, median_m, 0.0, 0.0, nothing, one.person))
+        with watch("network"):
+            answers = self._answers([view.range_m for _, view in seen])
+        with watch("back"):
+            for ((pixels, person), view), answer in zip(seen, answers, strict=True):
+                own_labels, confidence, *places = map(view.back, answer)
+                seen_as = view.median_range_m, view.turn_rad, view.scale
+                body = LabelledBody(pixels, *seen_as, confidence, person, places=places[0] if places else None)
+                if person is not None and person * body.mean_confidence < self.doubted_below:
+                    things.append(body)
+                    continue
+                labels.ravel()[pixels] = own_labels
+                bodies.append(body)
+        if self.video is not None:
+            with watch("video"):
+                steadied = [(body.pixels, body.confidence) for body in bodies]
+                labels = self.video(range_m, labels, steadied, self._upright)
+                bodies = [replace(body, track=n) for body, n in zip(bodies, self.video.tracks, strict=True)]
+                if all(self._asked):  # the network's points are of the parts that it sees, not of those shown
+                    nearest, shown = load_template().nearest_of_parts, labels.ravel()
+                    bodies = [replace(body, places=nearest[shown[body.pixels], body.places]) for body in bodies]
+        for labelled in bodies:
+            labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
+        made = labels, tuple(bodies), watch.milliseconds, range_m, self.camera, tuple(things)
+        segmentation = Segmentation(*made, self.mirrored, self.label_map)
+        return _turned_back(segmentation, self.quarters) if self.quarters else segmentation
 
     def _view(self, range_m: NDArray[np.float32], pixels: NDArray[np.intp]) -> BodyView | None:
         """What the network sees of a body; None for one of people whom no view can show."""
@@ -315,55 +326,18 @@ class Segmenter:
                 raise
             return None
 
-    def label(self, found: FoundBodies) -> Segmentation:
-        """Label the bodies that `find` found; those that the network doubts too much to be people become things.
-
-        With `video`, frames must come in order.
+    def _answers(self, views: Sequence[NDArray[np.float32]]) -> list[tuple[NDArray[Any], ...]]:
+        """The network's answers to views, as of `predict_each`: where it is unsure, those to the views upside down, if
+        it is surer of these. In training it saw more of the people who lie from one end than from the other.
         """
-        range_m, watch = found.range_m, Stopwatch(STAGES)
-        watch.milliseconds.update(found.milliseconds)
-        labels = np.full(range_m.shape, BACKGROUND, np.uint8)
-        bodies, things = list[LabelledBody](), list[LabelledBody]()
-        for pixels, person in found.unseen:
-            median_m, nothing = float(np.median(range_m.ravel()[pixels])), np.zeros(len(pixels), np.float32)
-            things.append(LabelledBody(pixels, median_m, 0.0, 0.0, nothing, person))
-        with watch("network"):
-            answers = predict_each(self._network, [view.range_m for _, view in found.bodies], *self._asked)
-            self._turn_unsure(found, answers)
-        with watch("back"):
-            for ((pixels, person), view), answer in zip(found.bodies, answers, strict=True):
-                own_labels, confidence, *places = map(view.back, answer)
-                seen_as = view.median_range_m, view.turn_rad, view.scale
-                body = LabelledBody(pixels, *seen_as, confidence, person, places=places[0] if places else None)
-                if person is not None and person * body.mean_confidence < self.doubted_below:
-                    things.append(body)
-                    continue
-                labels.ravel()[pixels] = own_labels
-                bodies.append(body)
-        if self.video is not None:
-            with watch("video"):
-                seen = [(body.pixels, body.confidence) for body in bodies]
-                labels = self.video(range_m, labels, seen, self._upright)
-                bodies = [replace(body, track=n) for body, n in zip(bodies, self.video.tracks, strict=True)]
-                if all(self._asked):  # the network's points are of the parts that it sees, not of those shown
-                    nearest, shown = load_template().nearest_of_parts, labels.ravel()
-                    bodies = [replace(body, places=nearest[shown[body.pixels], body.places]) for body in bodies]
-        for labelled in bodies:
-            labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
-        made = labels, tuple(bodies), watch.milliseconds, range_m, self.camera, tuple(things)
-        segmentation = Segmentation(*made, self.mirrored, self.label_map)
-        return _turned_back(segmentation, self.quarters) if self.quarters else segmentation
-
-    def _turn_unsure(self, found: FoundBodies, answers: list[tuple[NDArray[Any], ...]]) -> None:
-        """Replace answers of which the network is unsure by those to the views upside down, where it is surer of these:
-        in training it saw more of the people who lie from one end than from the other.
-        """
+        answers = predict_each(self._network, views, *self._asked)
         unsure = [n for n, (_, sure, *_) in enumerate(answers) if sure.sum() < _SURE * np.count_nonzero(sure)]
-        views = {n: view for n in unsure if self._either_way and _may_lie(view := found.bodies[n][1].range_m)}
-        others = predict_each(self._network, [turned_image(view, 2) for view in views.values()], *self._asked)
-        for n, answer in zip(views, others, strict=True):
+        again = [n for n in unsure if self._either_way and _may_lie(views[n])]
+        others = predict_each(self._network, [turned_image(views[n], 2) for n in again], *self._asked)
+        for n, answer in zip(again, others, strict=True):
             if answer[1].sum() > answers[n][1].sum():
                 answers[n] = tuple(turned_image(each, 2) for each in answer)
+        return answers
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network

@@ -23,7 +23,7 @@ from bodyseg_model.networks.body_map import UNIT_M, place_table, point_grids
 from bodyseg_model.networks.labelling import number_pixels
 from bodyseg_model.networks.registry import predict_dense
 from bodyseg_model.runtimes import on_backend
-from bodyseg_model.segmentation import Background, CarriedLabels, FrameLabeller, Segmenter
+from bodyseg_model.segmentation import Background, CarriedLabels, FrameLabeller, Segmenter, view_body
 
 LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 KEEP = Background("keep")
@@ -94,7 +94,7 @@ def test_labels_are_the_same_bits_beside_points() -> None:
     assert (seen.template == NOWHERE).all() and seen.bodies[0].places is None
     template = told.template
     assert template.dtype == np.uint16 and np.array_equal(template == NOWHERE, told.labels == BACKGROUND)
-    ((_, view),) = plain.find(frame).bodies
+    view = view_body(frame, np.flatnonzero(frame), LENS, plain.rig)
     range_m = torch.from_numpy(view.range_m)[None, None]
     prediction, numbers = predict_dense(network(), range_m, by_part=True)
     assert torch.equal(prediction.labels, predict(network(), range_m).labels)

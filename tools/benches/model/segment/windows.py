@@ -22,7 +22,7 @@ from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Network, predict
-from bodyseg_model.segmentation import Segmenter
+from bodyseg_model.segmentation import Segmenter, find_bodies, view_body
 
 MARGINS: Final = (32, 64, 96, 128, None)
 """Empty pixels around a body; None: the whole image."""
@@ -102,10 +102,11 @@ def bench_windows(
     def from_rooms() -> Iterator[tuple[torch.Tensor, Score]]:
         segmenter = Segmenter(trained.network, camera, rig=trained.rig)
         for room in made_rooms(camera, views):
-            for (pixels, _), view in segmenter.find(room.range_m).bodies:
+            for pixels, _ in find_bodies(room.range_m, camera, segmenter.background, segmenter.finder):
                 if (room.person.ravel()[pixels] == 0).mean() > 0.5:
                     continue
                 truth = torch.from_numpy(room.labels.ravel()[pixels])
+                view = view_body(room.range_m, pixels, camera, trained.rig)
                 backwards = torch.from_numpy(view.view_pixels)
                 yield torch.from_numpy(view.range_m)[None, None], _scored(truth, backwards)
             advance()
