@@ -163,11 +163,11 @@ def test_a_stream_answers_each_frame_with_its_number(
             taken.append(threading.current_thread().name)
             yield standing(column)
 
-    def noted(segmenter: Segmenter, found: Any, label: Any = Segmenter.label) -> Any:
+    def noted(segmenter: Segmenter, frame: Any, label: Any = Segmenter.__call__) -> Any:
         labelled.append(threading.current_thread().name.partition("_")[0])
-        return label(segmenter, found)
+        return label(segmenter, frame)
 
-    monkeypatch.setattr(Segmenter, "label", noted)
+    monkeypatch.setattr(Segmenter, "__call__", noted)
     label = labeller(video=video)
     alone = [label(standing(column), CAMERA).labels for column in (20, 24, 28, 32)]
     labelled.clear()

@@ -509,14 +509,14 @@ def test_frames_that_are_labelled_at_the_same_time_have_the_same_labels(
     found = []
     for count in (1, 5):
         threads: set[str] = set()
-        label = Segmenter.label
+        label = Segmenter.__call__
 
-        def noted(segmenter: Segmenter, bodies: Any, label: Any = label, threads: set[str] = threads) -> Any:
+        def noted(segmenter: Segmenter, frame: Any, label: Any = label, threads: set[str] = threads) -> Any:
             threads.add(f"{threading.current_thread().name} {torch.get_num_threads()}")
-            return label(segmenter, bodies)
+            return label(segmenter, frame)
 
         with monkeypatch.context() as patched:
-            patched.setattr(Segmenter, "label", noted)
+            patched.setattr(Segmenter, "__call__", noted)
             out = tmp_path / f"out{count}"
             assert run(recording, "--focal", "100", "--threads", str(count), "--out", out) == 0
         assert all(name.startswith("labelling") == (count > 1) and name.endswith(" 1") for name in threads)
