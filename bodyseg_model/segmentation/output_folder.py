@@ -3,12 +3,12 @@ and the writer of labels, overlays, preview and summary, beside the labelling of
 """
 
 import contextlib
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from threading import Semaphore
 from typing import Any, Final, Self
 
 import numpy as np
@@ -181,33 +181,28 @@ class WriteBehind:
     """
 
     def __init__(self) -> None:
-        self._thread, self._room = ThreadPoolExecutor(1, "writing"), Semaphore(_MOST_WAITING)
-        self._failed: BaseException | None = None
+        self._thread, self._waiting = ThreadPoolExecutor(1, "writing"), deque[Future[None]]()
 
     def __enter__(self) -> Self:
         return self
 
     def then(self, job: Job) -> None:
         """Have a job done after all others. Raises the error of an earlier one."""
-        self._room.acquire()
-        if self._failed is not None:
-            self._room.release()
-            raise self._failed
-        self._thread.submit(self._do, job)
+        before = self._waiting[-1] if self._waiting else None
+        if len(self._waiting) == _MOST_WAITING:
+            self._waiting.popleft().result()
+        self._waiting.append(self._thread.submit(self._after, before, job))
 
-    def _do(self, job: Job) -> None:
-        try:
-            if self._failed is None:
-                job()
-        except BaseException as error:
-            self._failed = error
-        self._room.release()
+    def _after(self, before: Future[None] | None, job: Job) -> None:
+        if before is not None:
+            before.result()  # raises its error, which so goes on to the last job
+        job()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         self._thread.shutdown()
+        failed = self._waiting[-1].exception() if self._waiting else None
         # A job's error goes before an error of later frames, but not before Ctrl-C.
-        failed = self._failed if error is None or isinstance(error, Exception) else None
-        if failed is not None and failed is not error:
+        if failed is not None and failed is not error and (error is None or isinstance(error, Exception)):
             raise failed
 
 
