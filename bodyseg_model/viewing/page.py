@@ -21,6 +21,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -169,56 +170,41 @@ def open_server(host: str, port: int, title: str, guard: Guard) -> viser.ViserSe
 
 
 class Redrawing:
-    """Calls `draw` after requests, from one thread. Requests that arrive while it draws are answered by one more call.
+    """Calls `draw` after requests, in one thread. Requests that arrive while it draws are answered by one more call.
 
     least_s: time from one call to the next at least, so that a slider that is dragged does not fill a connection.
     """
 
     def __init__(self, draw: Callable[[], None], least_s: float = 0.1) -> None:
         self._draw, self._least_s = draw, least_s
-        self._changed = threading.Condition()
-        self._requested = self._drawn = 0
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="redrawing", daemon=True)
-        self._thread.start()
+        self._thread, self._closed = ThreadPoolExecutor(1, "redrawing"), threading.Event()
+        self._requested, self._due = False, 0.0
+        self._last: Future[bool] | None = None
 
     def request(self) -> None:
         """Ask for a drawing; returns at once."""
-        with self._changed:
-            self._requested += 1
-            self._changed.notify_all()
+        if not self._requested:
+            self._requested = True
+            with contextlib.suppress(RuntimeError):  # closed
+                self._last = self._thread.submit(self._once)
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait until all that was requested before is drawn; False if that took longer, or this is closed."""
-        with self._changed:
-            wanted = self._requested
-            self._changed.wait_for(lambda: self._closed or self._drawn >= wanted, timeout_s)
-            return self._drawn >= wanted
+        """Wait until all that was requested before is drawn; False if that took longer, or this was closed before."""
+        with contextlib.suppress(TimeoutError):
+            return self._last is not None and self._last.result(timeout_s)
+        return False
 
     def close(self) -> None:
         """End the thread after what it is drawing."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        if threading.current_thread() is not self._thread:
-            self._thread.join()
+        self._closed.set()
+        self._thread.shutdown()
 
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._drawn < self._requested)
-                if self._closed:
-                    return
-                begun = self._requested
-            start = time.monotonic()
-            try:
-                self._draw()
-            finally:
-                with self._changed:
-                    self._drawn = begun
-                    self._changed.notify_all()
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed, max(0.0, self._least_s - (time.monotonic() - start)))
+    def _once(self) -> bool:
+        if self._closed.wait(max(0.0, self._due - time.monotonic())):
+            return False
+        self._requested, self._due = False, time.monotonic() + self._least_s  # later requests are of the next drawing
+        self._draw()
+        return True
 
 
 _FOV_RAD: Final = 0.7

@@ -185,7 +185,7 @@ def test_nothing_is_shared_outside_and_nothing_is_printed(capfd: pytest.CaptureF
     assert page.server.request_share_url() is None
     page.close()
     assert capfd.readouterr() == ("", "")
-    assert not [thread for thread in threading.enumerate() if thread.name == "redrawing"]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("redrawing")]
 
 
 def test_saved_pictures_replace_none(tmp_path: Path) -> None:

@@ -35,12 +35,6 @@ def test_nothing_is_drawn_after_the_end() -> None:
     assert not redrawing.wait(0.01) and not drawn
 
 
-def test_a_drawing_may_end_the_drawing() -> None:
-    redrawing = Redrawing(lambda: redrawing.close(), 5.0)
-    redrawing.request()
-    assert redrawing.wait(10)
-
-
 def test_drawings_keep_their_distance() -> None:
     """The second one waits for its time, which does not come within the test."""
     drawn = list[int]()
