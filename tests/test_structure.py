@@ -242,7 +242,7 @@ LARGEST_DOORS = {
     "bodyseg_data.artifacts": 33,  # what a user's own artifact needs, and by what the fit of a sensor measures
     "bodyseg_data.files": 23,
     "bodyseg_data.shards": 59,  # a format, its columns and stores, which packing writes, loading reads, transfer copies
-    "bodyseg_model.networks": 32,  # networks and their files, which training writes and everything else reads
+    "bodyseg_model.networks": 30,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 33,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
     "bodyseg_model.recordings": 22,
     "bodyseg_model.segmentation": 23,

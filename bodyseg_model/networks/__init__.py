@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     )
     from bodyseg_model.networks.names import CardWords, CheckpointName, NetworkName, RunFiles, confusion_file
     from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
-    from bodyseg_model.networks.patch_loops import BITS, nearest
     from bodyseg_model.networks.registry import (
         build,
         check_network,

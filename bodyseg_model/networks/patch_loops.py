@@ -1,24 +1,14 @@
-"""Patches of range images and bits of bfloat16, compiled: the values of `network.patches_of` in PyTorch's operations,
-and within rounding those of `network.metric_patches`.
+"""Patches of range images, compiled: the values of `network.patches_of` in PyTorch's operations, and within rounding
+those of `network.metric_patches`.
 """
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from bodyseg_data.machine import compiled
 
-BITS: Final = np.uint32(16)
-"""Bits of a bfloat16: the upper ones of float32."""
-
-_HALF_LESS_ONE, _LAST = np.uint32(0x7FFF), np.uint32(1)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-
-
-@compiled
-def nearest(exact: Any) -> Any:
-    """Round the bits of a float32, uint32, to those of the nearest bfloat16, ties to even, as the lower ones of 32."""
-    return (exact + _HALF_LESS_ONE + ((exact >> BITS) & _LAST)) >> BITS
 
 
 @compiled

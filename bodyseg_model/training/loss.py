@@ -1,8 +1,7 @@
 """Loss of a training step: cross-entropy over the pixels of the body, or over an even selection of them."""
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -12,14 +11,11 @@ from torch import nn
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import ImageSet
-from bodyseg_model.networks import UNIT_M, Network, in_loops, place_table
+from bodyseg_model.networks import UNIT_M, Network, place_table
 
 _SAMPLES_FOR_WEIGHTS: Final = 128
 PLACE_WEIGHT: Final = 1.0
 """Weight of a pixel's error of place, the sum of its three coordinates', against its cross-entropy."""
-
-_BITS: Final = {torch.float32: torch.uint32, torch.bfloat16: torch.uint16}
-"""Types of scores that the compiled loops know -> types of their bits."""
 
 
 @dataclass(frozen=True)
@@ -58,51 +54,11 @@ class SelectedPixels:
         left, right, across = _neighbours(self.column, step, columns)
         shares = torch.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across])
         places = [(row, column) for row in (top, bottom) for column in (left, right)]
-        if scores.dtype in _BITS and in_loops(scores):
-            interpolated: torch.Tensor = _Interpolated.apply(  # type: ignore[no-untyped-call]
-                scores, self.image, places, shares
-            )
-            return interpolated
         # Rows of one table, not four selections: the gradient of each would fill a tensor of all scores.
         table = scores.permute(0, 2, 3, 1).flatten(0, 2)
         cells = torch.stack([(self.image * rows + row) * columns + column for row, column in places])
         corners = table.index_select(0, cells.flatten()).reshape(*cells.shape, scores.shape[1])
         return (corners * shares[..., None]).sum(0)
-
-
-class _Interpolated(torch.autograd.Function):
-    """The same bits, also of gradients, by compiled loops: PyTorch would write the scores of four points a pixel."""
-
-    @staticmethod
-    def forward(
-        context: Any, scores: torch.Tensor, image: torch.Tensor, places: list[tuple[Any, Any]], shares: torch.Tensor
-    ) -> torch.Tensor:
-        by_image, by_class, by_row, by_column = scores.stride()
-        _, classes, rows, columns = scores.shape
-        # The loops add up an image's gradient in a part of its own, where no two scores share a place.
-        apart = by_column >= classes and by_row >= columns * by_column and by_image >= rows * by_row
-        if by_class != 1 or not apart:
-            scores = scores.contiguous(memory_format=torch.channels_last)
-            by_image, _, by_row, by_column = scores.stride()
-        starts = torch.stack([image * by_image + row * by_row + column * by_column for row, column in places])
-        reach = 1 + sum((size - 1) * stride for size, stride in zip(scores.shape, scores.stride(), strict=True))
-        table = scores.as_strided((reach,), (1,)).view(_BITS[scores.dtype])
-        found = torch.empty(len(image), scores.shape[1])
-        loops = import_module("bodyseg_model.training.loops")
-        loops.interpolate(table.numpy(), starts.numpy(), shares.numpy(), found.numpy())
-        context.save_for_backward(starts, shares, torch.bincount(image, minlength=len(scores)).cumsum(0))
-        context.scores = reach, scores.shape, scores.stride(), scores.dtype
-        return found
-
-    @staticmethod
-    def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
-        starts, shares, ends = context.saved_tensors
-        reach, shape, strides, dtype = context.scores
-        found = torch.empty(shape[0] * strides[0] if shape[0] > 1 else reach, dtype=dtype)
-        arrays = (each.numpy() for each in (gradients[0].contiguous(), starts, shares, ends))
-        loops = import_module("bodyseg_model.training.loops")
-        loops.add_gradient(*arrays, found.view(_BITS[dtype]).numpy())
-        return found.as_strided(shape, strides), None, None, None
 
 
 def _neighbours(pixel: torch.Tensor, step: int, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
-from kernel_forms import by_both
 
 from bodyseg_model.networks import Network
 from bodyseg_model.networks.compact import Compact, CompactSettings
@@ -100,29 +98,6 @@ def test_scores_at_pixels_are_those_of_the_interpolated_image(step: int, stride:
         assert torch.equal(pixels.truth, labels[pixels.image, pixels.row, pixels.column].long())
         total += len(pixels.truth)
     assert total == int((labels != 255).sum())
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
-def test_both_forms_of_interpolation_have_the_same_bits_and_gradients(dtype: torch.dtype) -> None:
-    draw = torch.Generator().manual_seed(8)
-    cells = torch.randn(4, 33, 9, 8, generator=draw).to(dtype)
-    cells_last = cells.to(memory_format=torch.channels_last)
-    images_last = cells.permute(2, 3, 0, 1).contiguous().permute(2, 3, 0, 1)
-    one, same_places = cells_last[:1].expand(4, -1, -1, -1), cells_last[..., :1, :1].expand(-1, -1, 9, 7)
-    for layout in (cells_last[..., :7], cells[..., :7], images_last[..., :7], one[..., :7], same_places):
-        empty = torch.full((1, 35, 27), 255, dtype=torch.uint8)
-        labels = torch.cat([empty, batch(35, 27)[1], empty])
-        pixels = SelectedPixels.of(labels, 1, 3, 4)
-        gradient = torch.randn(len(pixels.truth), 33, generator=draw)
-
-        def found(layout: torch.Tensor = layout, pixels: SelectedPixels = pixels, by: torch.Tensor = gradient) -> Any:
-            scores = layout.detach().requires_grad_()
-            answer = pixels.interpolated(scores, 4)
-            answer.backward(by)  # type: ignore[no-untyped-call]
-            return answer, scores.grad
-
-        for loops, plain in zip(*by_both(found), strict=True):
-            assert torch.equal(loops, plain)
 
 
 def test_gradients_of_scores_at_pixels_are_those_of_the_interpolated_image() -> None:
