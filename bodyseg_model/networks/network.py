@@ -50,7 +50,7 @@ class Network(nn.Module, ABC):
 
     def __init__(self, settings: Mapping[str, Any] | None = None, classes: int = PART_COUNT) -> None:
         super().__init__()
-        self.classes = check_classes(classes)
+        self.classes = check_int("classes", classes, 1, BACKGROUND)  # labels are bytes
         self.settings = {**(settings or {}), **({} if classes == PART_COUNT else {"classes": classes})}
 
     @classmethod
@@ -100,14 +100,6 @@ class Network(nn.Module, ABC):
     def extra_repr(self) -> str:
         """Settings, for `repr`."""
         return ", ".join(f"{name}={value!r}" for name, value in self.settings.items())
-
-
-def check_classes(classes: int) -> int:
-    """Return the number of a network's classes. Raises BadConfig unless it is 1 to 255: labels are bytes."""
-    count = check_int("classes", classes, 1)
-    if count > BACKGROUND:
-        raise BadConfig(f"classes must be at most {BACKGROUND}, found {count}")
-    return count
 
 
 def check_label_map(network: Network, label_map: LabelMap) -> None:

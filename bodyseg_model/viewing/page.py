@@ -30,7 +30,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.core import BadConfig, BodysegError, check_int
 from bodyseg_data.files import write_result
 from bodyseg_data.machine import required
 from bodyseg_model.viewing.pictures import (
@@ -135,8 +135,7 @@ def free_port(host: str, port: int) -> int:
     """The given port, or the next free one after it. 0: any. Raises BadConfig for a host that is not this machine's,
     or if the next ports are taken, too.
     """
-    if not 0 <= port <= 65535:
-        raise BadConfig(f"a port must be 0 to 65535, found {port}")
+    check_int("a port", port, 0, 65535)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for number in range(port, min(port + _PORTS_TRIED, 65536)):
         try:

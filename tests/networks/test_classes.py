@@ -55,9 +55,9 @@ def test_33_classes_are_not_written_and_change_no_bit(name: str) -> None:
 @pytest.mark.parametrize(
     ("classes", "message"),
     [
-        (0, "classes must be a whole number of at least 1, found 0"),
+        (0, "classes must be a whole number from 1 to 255, found 0"),
         ("14", "classes must be a whole number.*, found '14'"),
-        (256, "classes must be at most 255, found 256"),
+        (256, "classes must be a whole number from 1 to 255, found 256"),
     ],
 )
 def test_numbers_of_classes_that_no_network_has(name: str, classes: Any, message: str) -> None:

@@ -147,7 +147,7 @@ def test_a_port_that_is_taken_gives_way_to_the_next() -> None:
 @pytest.mark.parametrize(
     ("host", "port", "message"),
     [
-        (LOOPBACK, 70000, "a port must be 0 to 65535, found 70000"),
+        (LOOPBACK, 70000, "a port must be a whole number from 0 to 65535, found 70000"),
         ("no.such.host.invalid", 8080, "--host must be an address of this machine, found 'no.such.host.invalid'"),
         ("192.0.2.1", 8080, "--host must be an address of this machine, found '192.0.2.1'"),
     ],

@@ -18,13 +18,13 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.core import BadConfig, MissingLibrary, check_int
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
 from bodyseg_model import networks
 from bodyseg_model.commands import main
 from bodyseg_model.networks import Network, check_range_images
 from bodyseg_model.networks.names import NETWORKS
-from bodyseg_model.networks.network import check_classes, relief_of, shrunk
+from bodyseg_model.networks.network import relief_of, shrunk
 
 BASELINES: Final = {
     "segformer": "benches.model.networks.baselines.Segformer",
@@ -89,7 +89,7 @@ class Segformer(Baseline):
         transformers = _transformers("segformer")
         widths = [(32 << size) * factor for factor in (1, 2, 5, 8)]
         config = transformers.SegformerConfig(
-            num_channels=_INPUTS, hidden_sizes=widths, num_labels=check_classes(classes)
+            num_channels=_INPUTS, hidden_sizes=widths, num_labels=check_int("classes", classes, 1, BACKGROUND)
         )
         super().__init__(transformers.SegformerForSemanticSegmentation(config), 4, shrink, {"size": size}, classes)
 
@@ -105,7 +105,10 @@ class Deeplab(Baseline):
             raise BadConfig(f"apart of deeplab must be 8 or 16, found {apart!r}")
         transformers = _transformers("deeplab")
         config = transformers.MobileNetV2Config(
-            num_channels=_INPUTS, output_stride=apart, num_labels=check_classes(classes), tf_padding=False
+            num_channels=_INPUTS,
+            output_stride=apart,
+            num_labels=check_int("classes", classes, 1, BACKGROUND),
+            tf_padding=False,
         )
         network = transformers.MobileNetV2ForSemanticSegmentation(config)
         super().__init__(network, apart, shrink, {"apart": apart}, classes)
