@@ -238,7 +238,8 @@ _WORN[[7, 8, 11, 12, *range(23, 31)]] = _TROUSERS
 
 
 def fill(parts: Any, place: Any, cloth: Any, sums: Any, clothes: Any, motion: Any, tables: Any) -> None:
-    """Write what `PhaseShift.looks` returns, transposed, into tables. Compiled, too, so it indexes arrays.
+    """Write what `PhaseShift.looks` returns, transposed, into tables. Compiled, too, so it indexes arrays, a number at a
+    time: to compile assignments of rows takes longer than all else here.
 
     place: metres of a step, focal length, centre and stand-off; cloth: its strengths, and speed of hands and feet, m/s;
     clothes, motion: of `DRAWN`, [6, 12] and [108].
@@ -265,13 +266,16 @@ def fill(parts: Any, place: Any, cloth: Any, sums: Any, clothes: Any, motion: An
         row[11] = albedo
         row[12] = albedo if bare or chance[10] >= patterned else darkest + spread * other * other
     if clothes[_TROUSERS, 11] * 2.0**-32 < 0.25:
-        garments[_TROUSERS] = garments[_COAT]  # a long coat covers them
+        for entry in range(13):
+            garments[_TROUSERS, entry] = garments[_COAT, entry]  # a long coat covers them
 
     # Middles of the rigid parts, metres, camera's frame; a part that is not seen takes that of the one it hangs from.
     count = len(_BEFORE) if parts else 1
     totals, middles, moving = np.zeros((count + 1, 4), np.int64), np.zeros((count, 3)), np.zeros((count + 1, 6))
     for label in range(PART_COUNT + 1):
-        totals[_PART_OF[label] if parts else 0] += sums[:, label]
+        part = _PART_OF[label] if parts else 0
+        for entry in range(4):
+            totals[part, entry] += sums[entry, label]
     for part in range(count):
         pixels, middle, before = totals[part, 0], middles[part], _BEFORE[part]
         if pixels:
@@ -279,23 +283,29 @@ def fill(parts: Any, place: Any, cloth: Any, sums: Any, clothes: Any, motion: An
             middle[0] = (totals[part, 1] / pixels + 0.5 - centre_x) / focal * middle[2]
             middle[1] = (totals[part, 2] / pixels + 0.5 - centre_y) / focal * middle[2]
         elif before >= 0:
-            middle[:] = middles[before]
+            middle[0], middle[1], middle[2] = middles[before, 0], middles[before, 1], middles[before, 2]
         else:
             middle[2] = stand_off
 
     # Velocity at the camera and rotation of each part: those of the part it hangs from, and a turn about their joint.
     chances, own = motion * 2.0**-31 - 1.0, 6 * len(_LIMB)
+    joint, turn = np.zeros(3), np.zeros(3)
     for part in range(count):
         much, before, at = speed * abs(chances[own + _LIMB[part]]), _BEFORE[part], 6 * part
-        joint = middles[part] + _SHARE[part] * (middles[before] - middles[part])
-        turn = much / _LIMB_M * chances[at : at + 3]
-        moving[part] = moving[before]
+        for entry in range(6):
+            moving[part, entry] = moving[before, entry]
+        for axis in range(3):
+            joint[axis] = middles[part, axis] + _SHARE[part] * (middles[before, axis] - middles[part, axis])
+            turn[axis] = much / _LIMB_M * chances[at + axis]
         for axis in range(3):
             one, two = (axis + 1) % 3, (axis + 2) % 3
             moving[part, axis] -= turn[one] * joint[two] - turn[two] * joint[one]
             moving[part, 3 + axis] += turn[axis]
-        if before < 0:
-            moving[part, :3] += 0.4 * much * chances[at + 3 : at + 6]
+            if before < 0:
+                moving[part, axis] += 0.4 * much * chances[at + 3 + axis]
     for label in range(PART_COUNT + 1):
-        tables[label, :13] = garments[_WORN[label] if parts else _COAT]
-        tables[label, 13:] = moving[_PART_OF[label] if parts else 0]
+        worn, part = (_WORN[label], _PART_OF[label]) if parts else (_COAT, 0)
+        for entry in range(13):
+            tables[label, entry] = garments[worn, entry]
+        for entry in range(6):
+            tables[label, 13 + entry] = moving[part, entry]
