@@ -104,22 +104,21 @@ class RemoteFolder:
         pause: called with 0 before each chunk and with the seconds to wait before another attempt; what it raises ends
         the download. ranges: refuse a server that ignores them.
         """
-        streak, begun = _FailureStreak(self._retry_policy), time.perf_counter()
+        begun = time.perf_counter()
         TALLY.count(Stage.BYTES, stop - start)
-        while start < stop:
-            attempt_start = start
+
+        def attempt(address: str) -> None:
+            nonlocal start
             TALLY.count(Stage.REQUESTS)
-            try:
-                chunks: Any = self._transport.chunks(f"{self._base}/{name}{self._query}", start, stop, not ranges)
-                with closing(chunks):
-                    for chunk in chunks:
-                        pause(0)
-                        sink(chunk)
-                        start += len(chunk)
-            except TransientFailure as failure:
-                pause(self._wait_after(streak, failure, name, start - attempt_start))
-            except PermanentFailure as error:
-                raise self._unreachable(name, error) from None
+            chunks: Any = self._transport.chunks(address, start, stop, not ranges)
+            with closing(chunks):
+                for chunk in chunks:
+                    pause(0)
+                    sink(chunk)
+                    start += len(chunk)
+
+        if start < stop:
+            self._with_retries(name, attempt, pause, lambda: start)
         TALLY.count(Stage.FETCH, time.perf_counter() - begun)
 
     def read_file(self, name: str, limit: int) -> bytes | None:
@@ -145,21 +144,28 @@ class RemoteFolder:
     def prepare_reread(self, name: str) -> bool:
         return True  # a network may have altered the bytes
 
-    def _with_retries(self, name: str, attempt: Callable[[str], Result]) -> Result:
-        streak = _FailureStreak(self._retry_policy)
+    def _with_retries(
+        self, name: str, attempt: Callable[[str], Result], pause: Pause = time.sleep, reached: Callable[[], int] = int
+    ) -> Result:
+        """Call `attempt` with a file's address until it succeeds, by the retry policy. Raises Unreachable.
+
+        reached: position in the file after an attempt; one that got on far begins a new count of failures.
+        """
+        policy, failures, since, before = self._retry_policy, 0, 0.0, reached()
         while True:
             try:
                 return attempt(f"{self._base}/{name}{self._query}")
             except TransientFailure as failure:
-                time.sleep(self._wait_after(streak, failure, name, 0))
+                if reached() - before >= policy.progress_bytes or not failures:
+                    failures, since = 0, time.monotonic()
+                # SystemRandom: the draws on which data depend are not affected, and forked processes wait differently.
+                wait = policy.first_wait_s * 2**failures * random.SystemRandom().uniform(0.5, 1.0)
+                wait, failures, before = max(wait, failure.wait_s), failures + 1, reached()
+                if failures >= policy.tries or time.monotonic() - since + wait > policy.total_s:
+                    raise self._unreachable(name, failure, f" ({failures} attempts)") from None
+                pause(wait)
             except PermanentFailure as error:
                 raise self._unreachable(name, error) from None
-
-    def _wait_after(self, streak: _FailureStreak, failure: TransientFailure, name: str, received: int) -> float:
-        wait = streak.wait_after(failure, received)
-        if wait is None:
-            raise self._unreachable(name, failure, f" ({streak.failures} attempts)") from None
-        return wait
 
     def _unreachable(self, name: str, error: Exception, note: str = "") -> Unreachable:
         found = Unreachable(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
@@ -172,27 +178,6 @@ class RemoteFolder:
             text = text.replace(secret, "***")
         text = re.sub(r"(?<=://)[^/@\s]*@", "", text)
         return " ".join(re.sub(r"(://[^\s?]*)\?\S*", r"\1", text).split())
-
-
-class _FailureStreak:
-    """Consecutive failures since the last attempt with progress."""
-
-    def __init__(self, retry_policy: RetryPolicy) -> None:
-        self._retry_policy = retry_policy
-        self.failures = 0
-        self._since = 0.0
-
-    def wait_after(self, failure: TransientFailure, received: int) -> float | None:
-        """Seconds to wait before the next attempt, None to give up. received: bytes that the failed attempt gave."""
-        if received >= self._retry_policy.progress_bytes or not self.failures:
-            self.failures, self._since = 0, time.monotonic()
-        self.failures += 1
-        if self.failures >= self._retry_policy.tries:
-            return None
-        # SystemRandom: the draws on which data depend are not affected, and forked processes wait differently.
-        pause = self._retry_policy.first_wait_s * 2 ** (self.failures - 1) * random.SystemRandom().uniform(0.5, 1.0)
-        wait = max(pause, failure.wait_s)
-        return wait if time.monotonic() - self._since + wait <= self._retry_policy.total_s else None
 
 
 def read_optional(store: Store, name: str, limit: int) -> bytes | None:
