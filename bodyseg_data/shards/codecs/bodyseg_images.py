@@ -24,7 +24,6 @@ from bodyseg_data.shards.codecs.residuals import (
     ESCAPE,
     Box,
     Runs,
-    Slopes,
     bounding_box,
     checked_lengths,
     copied_bytes,
@@ -57,34 +56,24 @@ _NONE, _RUNS, _SLOPES = 0, 1, 2  # how the projector's range is stored
 PixelIndices = NDArray[np.int32]
 
 
-class CameraCounts(NamedTuple):
-    """Numbers of the first frame: runs of labels, the long ones of them, stretches of foreground, pixels of foreground,
-    and steps that are escaped.
+class Counts(NamedTuple):
+    """Numbers of a frame: runs, the long ones of them, and of slopes, whose runs are of labels, also stretches of
+    foreground, pixels of foreground, and steps that are escaped.
     """
 
     runs: int
     long: int
-    starts: int
-    pixels: int
-    escapes: int
+    starts: int = 0
+    pixels: int = 0
+    escapes: int = 0
 
-    @property
-    def sizes(self) -> list[int]:
-        """Bytes of each row of the frame."""
-        steps = self.pixels - self.starts
-        return [self.runs, self.runs, self.runs, 4 * self.long, 2 * self.starts, steps, 2 * self.escapes]
+    def of_runs(self, width: int) -> list[int]:
+        """Bytes of each row of a frame of runs: values of `width` bytes, lengths, those of the long ones."""
+        return [width * self.runs, self.runs, 4 * self.long]
 
-
-class ProjectorCounts(NamedTuple):
-    """Numbers of the second frame: runs of the occluder range, and the long ones of them."""
-
-    runs: int
-    long: int
-
-    @property
-    def sizes(self) -> list[int]:
-        """Bytes of each row of the frame."""
-        return [2 * self.runs, self.runs, 4 * self.long]
+    def of_slopes(self) -> list[int]:
+        """Bytes of each row of a frame of slopes: labels, facing, lengths, long ones, and `encode_slopes`."""
+        return [self.runs, *self.of_runs(1), 2 * self.starts, self.pixels - self.starts, 2 * self.escapes]
 
 
 class BodysegImages:
@@ -113,29 +102,38 @@ class BodysegImages:
             kinds, numbers = encode_copies(plane.astype(np.uint16))
             checked = _PLANE.pack(2, *plane.shape, len(numbers) // 2, 0) + _frame([kinds, numbers])
             return {"bsp": _START.pack(_COPIED_MAGIC, zlib.crc32(checked)) + checked}
-        lengths, long = escape_large(runs.lengths, np.uint32)
-        header = _PLANE.pack(plane.itemsize, *plane.shape, len(runs.values), len(long) // 4)
-        checked = header + _frame([to_byte_planes(runs.values), lengths, long])
+        counts, frame = _frame_of(runs)
+        checked = _PLANE.pack(plane.itemsize, *plane.shape, *counts[:2]) + frame
         return {"bsp": _START.pack(_PLANE_MAGIC, zlib.crc32(checked)) + checked}
 
     def decode_plane(self, data: bytes) -> Bytes | Range:
         view = _checked(data, (_PLANE_MAGIC, _COPIED_MAGIC), _PLANE.size)
-        width, rows, columns, count, long = _PLANE.unpack_from(view)
-        box = Box(0, 0, rows, columns)
-        _check_header((rows, columns), box, CameraCounts(count, long, 0, 0, 0))
+        width, rows, columns, *found = _PLANE.unpack_from(view)
+        box, counts = Box(0, 0, rows, columns), Counts(*found)
+        _check_header((rows, columns), box, counts)
         if width not in (1, 2):
             raise ValueError(f"a plane has 1 or 2 bytes a pixel, found {width}")
         if data[:4] == _COPIED_MAGIC:
-            sizes = copied_bytes((rows, columns), count)
+            sizes = copied_bytes((rows, columns), counts.runs)
             kinds, numbers = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
             return decode_copies(kinds, numbers, (rows, columns))
-        sizes = [width * count, count, 4 * long]
-        values, lengths, longs = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
-        stored = from_byte_planes(values, np.uint8 if width == 1 else np.uint16)
-        return np.repeat(stored, checked_lengths(lengths, longs, box)).reshape(rows, columns)
+        return _pixels_of(_numbers(view[_PLANE.size :], sum(counts.of_runs(width))), counts, width, box)
 
 
-def _slopes_of(image: Range, labels: Bytes, facing: Bytes) -> tuple[Box, tuple[int, int, int, int, int], bytes]:
+def _frame_of(runs: Runs) -> tuple[Counts, bytes]:
+    """The counts and the frame of runs alone."""
+    lengths, long = escape_large(runs.lengths, np.uint32)
+    return Counts(len(runs.values), len(long) // 4), _frame([to_byte_planes(runs.values), lengths, long])
+
+
+def _pixels_of(numbers: Bytes, counts: Counts, width: int, box: Box) -> Bytes | Range:
+    """The pixels in a box whose runs `_frame_of` gave, of `width` bytes each. Raises ValueError."""
+    values, lengths, longs = _split(numbers, counts.of_runs(width))
+    stored = from_byte_planes(values, np.uint8 if width == 1 else np.uint16)
+    return np.repeat(stored, checked_lengths(lengths, longs, box)).reshape(box.height, box.width)
+
+
+def _slopes_of(image: Range, labels: Bytes, facing: Bytes) -> tuple[Box, Counts, bytes]:
     """The box, the counts and the frame of a range image and its labels, which are 255 exactly where the range is 0."""
     box = bounding_box(labels != BACKGROUND)
     joined = find_runs(box.crop(labels).astype(np.uint16) | (box.crop(facing).astype(np.uint16) << np.uint16(8)))
@@ -144,9 +142,8 @@ def _slopes_of(image: Range, labels: Bytes, facing: Bytes) -> tuple[Box, tuple[i
     starts, pixels = foreground_runs(runs)
     lengths, long = escape_large(runs.lengths, np.uint32)
     faced = (joined.values >> np.uint16(8)).astype(np.uint8)
-    frame = _frame([runs.values, faced, lengths, long, slopes.firsts, slopes.steps, slopes.escapes])
-    counts = len(runs.values), len(long) // 4, len(starts), int(pixels.sum()), len(slopes.escapes) // 2
-    return box, counts, frame
+    counts = Counts(len(runs.values), len(long) // 4, len(starts), int(pixels.sum()), len(slopes[-1]) // 2)
+    return box, counts, _frame([runs.values, faced, lengths, long, *slopes])
 
 
 def encode_images(camera: Range, labels: Bytes, facing: Bytes, projector: Range | None) -> bytes:
@@ -161,11 +158,8 @@ def encode_images(camera: Range, labels: Bytes, facing: Bytes, projector: Range 
         checked = header + _PROJECTOR.pack(_SLOPES, *projector.shape, *box, *counts) + frame + second
     else:
         box = bounding_box(projector > 0)
-        runs = find_runs(box.crop(projector))
-        lengths, long = escape_large(runs.lengths, np.uint32)
-        size = len(runs.values), len(long) // 4, 0, 0, 0
-        second = _frame([to_byte_planes(runs.values), lengths, long])
-        checked = header + _PROJECTOR.pack(_RUNS, *projector.shape, *box, *size) + frame + second
+        counts, second = _frame_of(find_runs(box.crop(projector)))
+        checked = header + _PROJECTOR.pack(_RUNS, *projector.shape, *box, *counts) + frame + second
     return _START.pack(_MAGIC, zlib.crc32(checked)) + checked
 
 
@@ -203,7 +197,7 @@ def decode_images(
     rows, columns, top, left, height, width, *numbers, frame_bytes = _CAMERA.unpack_from(view)
     start = _CAMERA.size + second.size
     end = start + frame_bytes
-    size, box, counts = (rows, columns), Box(top, left, height, width), CameraCounts(*numbers)
+    size, box, counts = (rows, columns), Box(top, left, height, width), Counts(*numbers)
     image, labels, facing, edges = _decode_camera(view[start:end], size, box, counts, out, unlabelled, earlier)
     occluder, texels = None, None
     if projector:
@@ -212,9 +206,9 @@ def decode_images(
         )
         size, box = (rows, columns), Box(top, left, height, width)
         if kind == _RUNS:
-            occluder, texels = _decode_projector(view[end:], size, box, ProjectorCounts(*numbers[:2]), out is not None)
+            occluder, texels = _decode_projector(view[end:], size, box, Counts(*numbers[:2]), out is not None)
         elif kind == _SLOPES:
-            occluder = _decode_camera(view[end:], size, box, CameraCounts(*numbers), None, BACKGROUND)[0]
+            occluder = _decode_camera(view[end:], size, box, Counts(*numbers), None, BACKGROUND)[0]
             texels = np.flatnonzero(occluder).astype(np.int32)
         elif kind != _NONE:
             raise ValueError(f"the projector's range is stored in the ways 0 to 2, found {kind}")
@@ -239,14 +233,14 @@ def _decode_camera(
     frame: memoryview,
     size: tuple[int, int],
     box: Box,
-    counts: CameraCounts,
+    counts: Counts,
     out: tuple[Range, Bytes] | None,
     unlabelled: int,
     earlier: bool = False,
 ) -> tuple[Range, Bytes, Bytes, PixelIndices | None]:
     """Range, labels and facing, and the edges of foreground, None without the compiled loops."""
     _check_header(size, box, counts)
-    numbers = _numbers(frame, sum(counts.sizes) - counts.runs * earlier)
+    numbers = _numbers(frame, sum(counts.of_slopes()) - counts.runs * earlier)
     if earlier:
         labels, facing = split_label_bytes(numbers[: counts.runs])
         numbers = np.concatenate([labels, facing, numbers[counts.runs :]])
@@ -257,11 +251,11 @@ def _decode_camera(
         if found >= 0:
             return *images, edges[:found]
     # Numbers that the compiled loop refuses get here, too: the NumPy form says what is wrong with them.
-    values, faced, lengths, longs, firsts, steps, large = _split(numbers, counts.sizes)
+    values, faced, lengths, longs, *slopes = _split(numbers, counts.of_slopes())
     if (faced > FACING + SECOND_FACING).any() or faced[values == BACKGROUND].any():
         raise ValueError("facing must be bits 0 and 1, and 0 on background")
     runs = Runs(values, checked_lengths(lengths, longs, box))
-    decode_slopes(runs, Slopes(firsts, steps, large), box, images[0])
+    decode_slopes(runs, slopes, box, images[0])
     shown = np.where(values == UNLABELLED, np.uint8(unlabelled), values)
     for image, of_runs, nothing in ((images[1], shown, BACKGROUND), (images[2], faced, 0)):
         image.fill(nothing)
@@ -270,11 +264,11 @@ def _decode_camera(
 
 
 def _decode_projector(
-    frame: memoryview, size: tuple[int, int], box: Box, counts: ProjectorCounts, keep: bool
+    frame: memoryview, size: tuple[int, int], box: Box, counts: Counts, keep: bool
 ) -> tuple[Range, PixelIndices]:
     """The occluder range, and the flat indices of what it holds. keep: in this thread's memory."""
-    _check_header(size, box, CameraCounts(counts.runs, counts.long, 0, 0, 0))
-    numbers = _numbers(frame, sum(counts.sizes))
+    _check_header(size, box, counts)
+    numbers = _numbers(frame, sum(counts.of_runs(2)))
     image = _of_thread.occluder
     if not keep or image.shape != size:
         image = np.empty(size, np.uint16)
@@ -286,9 +280,7 @@ def _decode_projector(
         found = loops(_LOOPS).fill_projector(numbers, counts, box, image, texels)
         if found >= 0:
             return image, texels[:found]
-    values, lengths, longs = _split(numbers, counts.sizes)
-    stored = np.repeat(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box))
-    box.crop(image)[:] = stored.reshape(box.height, box.width)
+    box.crop(image)[:] = _pixels_of(numbers, counts, 2, box)
     return image, np.flatnonzero(image != 0).astype(np.int32)  # searching booleans is several times as fast
 
 
@@ -317,7 +309,7 @@ def _fits(array: NDArray[Any], size: tuple[int, int], kind: type[np.generic]) ->
     return array.dtype == kind and array.shape == size and array.flags.carray
 
 
-def _check_header(size: tuple[int, int], box: Box, counts: CameraCounts) -> None:
+def _check_header(size: tuple[int, int], box: Box, counts: Counts) -> None:
     """Raise ValueError for sizes and counts, by which memory is allocated, that no image of `size` can have."""
     rows, columns = size
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):

@@ -57,7 +57,7 @@ def fill_camera(
 ) -> Any:
     """Decode range, labels and facing, [H, W], whatever the images hold, and the edges of foreground.
 
-    numbers: uint8, the rows of the first frame, as many as `counts` (`CameraCounts`) says. box: a `Box` in the image.
+    numbers: uint8, the rows of the first frame, as many as `counts` (`Counts`) says. box: a `Box` in the image.
     unlabelled: uint8, written for surfaces of no class.
     edges: int32, room for 2 * (starts + height), receives the flat indices where foreground begins, ends, begins ...;
     the end of a row of the box ends it, too.
@@ -189,8 +189,8 @@ def fill_camera(
 def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any) -> Any:
     """Decode the occluder range into an image [Hp, Wp] of zeros.
 
-    numbers: uint8, the rows of the second frame, as many as `counts` (`ProjectorCounts`) says. box: a `Box` in the
-    image. texels: int32, room for all of the image, receives the flat indices of the texels that are not 0.
+    numbers: uint8, the rows of the second frame, as many as `counts` (`Counts`) says. box: a `Box` in the image.
+    texels: int32, room for all of the image, receives the flat indices of the texels that are not 0.
 
     Returns their number, or -1 if the numbers do not fit the counts or the box.
     """

@@ -12,6 +12,7 @@ is modulo 65536. For foreground pixels inside the box, in reading order across t
     column, 0 without one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -99,17 +100,6 @@ def checked_lengths(low: Bytes, escapes: Bytes, box: Box) -> NDArray[np.int64]:
     return lengths
 
 
-@dataclass(frozen=True)
-class Slopes:
-    """Encoded ranges. firsts: of each foreground run, zigzag, as byte planes. steps: one zigzag byte for each other
-    pixel. escapes: of steps above 254 (`escape_large`).
-    """
-
-    firsts: Bytes
-    steps: Bytes
-    escapes: Bytes
-
-
 def zigzag(change: Range) -> Range:
     """Encode differences modulo 65536 so that small ones become small numbers: 0, -1, 1, -2, ... -> 0, 1, 2, 3, ..."""
     signed = change.view(np.int16)
@@ -129,8 +119,12 @@ def foreground_runs(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return edges[::2], edges[1::2] - edges[::2]
 
 
-def encode_slopes(crop: Range, runs: Runs) -> Slopes:
-    """Encode `crop`, the ranges in the box, 0 exactly where `runs`, those of its labels, are background."""
+def encode_slopes(crop: Range, runs: Runs) -> tuple[Bytes, Bytes, Bytes]:
+    """Encode `crop`, the ranges in the box, 0 exactly where `runs`, those of its labels, are background.
+
+    Returns the first range of each foreground run, zigzag, as byte planes; one zigzag byte for each other pixel; and
+    the escapes of those above 254 (`escape_large`).
+    """
     flat = np.ascontiguousarray(crop).ravel()
     starts, _ = foreground_runs(runs)
     step = np.diff(flat, prepend=np.uint16(0)).reshape(crop.shape)
@@ -143,25 +137,25 @@ def encode_slopes(crop: Range, runs: Runs) -> Slopes:
         np.copyto(above[row], step[row - 1], where=inner[row - 1])
     coded = zigzag(step - above)
     firsts = to_byte_planes(zigzag(np.diff(flat[starts], prepend=np.uint16(0))))
-    return Slopes(firsts, *escape_large(coded[inner], np.uint16))
+    return firsts, *escape_large(coded[inner], np.uint16)
 
 
-def decode_slopes(runs: Runs, slopes: Slopes, box: Box, image: Range) -> None:
-    """Decode ranges into an image [H, W], whatever it holds.
+def decode_slopes(runs: Runs, slopes: Sequence[Bytes], box: Box, image: Range) -> None:
+    """Decode what `encode_slopes` gave into an image [H, W], whatever it holds.
 
     runs: of labels, filling the box. Raises ValueError if the labels require another number of values.
     """
-    starts, lengths = foreground_runs(runs)
-    if len(slopes.firsts) != 2 * len(starts) or len(slopes.steps) != lengths.sum() - len(starts):
+    (starts, lengths), (firsts, low, escapes) = foreground_runs(runs), slopes
+    if len(firsts) != 2 * len(starts) or len(low) != lengths.sum() - len(starts):
         raise ValueError(
-            f"{len(starts)} stretches of {lengths.sum()} pixels of body, found {len(slopes.firsts) // 2} first "
-            f"ranges and {len(slopes.steps)} others"
+            f"{len(starts)} stretches of {lengths.sum()} pixels of body, found {len(firsts) // 2} first ranges and "
+            f"{len(low)} others"
         )
-    firsts = np.cumsum(unzigzag(from_byte_planes(slopes.firsts, np.uint16)), dtype=np.uint16)
-    steps = unzigzag(unescape(slopes.steps, slopes.escapes, np.uint16))
+    first_ranges = np.cumsum(unzigzag(from_byte_planes(firsts, np.uint16)), dtype=np.uint16)
+    steps = unzigzag(unescape(low, escapes, np.uint16))
     image.fill(0)
     body = np.repeat(runs.values != BACKGROUND, runs.lengths).reshape(box.height, box.width)
-    np.multiply(_ranges(firsts, steps, starts, body), body, out=box.crop(image))
+    np.multiply(_ranges(first_ranges, steps, starts, body), body, out=box.crop(image))
 
 
 def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArray[np.bool_]) -> Range:

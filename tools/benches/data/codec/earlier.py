@@ -32,8 +32,8 @@ def earlier_images(sample: Sample) -> bytes:
     slopes = encode_slopes(box.crop(sample.range), runs)
     starts, pixels = foreground_runs(runs)
     lengths, long = escape_large(runs.lengths, np.uint32)
-    first = _frame([runs.values, lengths, long, slopes.firsts, slopes.steps, slopes.escapes])
-    counts = len(runs.values), len(long) // 4, len(starts), int(pixels.sum()), len(slopes.escapes) // 2
+    first = _frame([runs.values, lengths, long, *slopes])
+    counts = len(runs.values), len(long) // 4, len(starts), int(pixels.sum()), len(slopes[-1]) // 2
     header = struct.pack("<6H6I", *sample.range.shape, *box, *counts, len(first))
     projector: NDArray[np.uint16] = sample.occluder_range()
     box = bounding_box(projector > 0)
