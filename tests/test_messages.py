@@ -20,7 +20,6 @@ from bodyseg_data.meshes.geodesics import nearest_sources
 from bodyseg_data.packing import Packing, check_engine
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Camera, load_rig
-from bodyseg_data.rigs.rig import parse_rig
 from bodyseg_data.samples import ViewGrid, check_key, steps
 from bodyseg_data.shards import encode_sample, read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample
@@ -32,7 +31,6 @@ NONE: Any = None
 NUMBER: Any = 3
 NAME: Any = "hot"
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-CAMERA = 'format = "bodyseg rig 1"\nname = "d1"\n[camera]\nrows = 480\ncolumns = 640\nfocal_px = 600.5\n'
 LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 FACES: Any = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
 
@@ -254,11 +252,6 @@ CASES: dict[str, Case] = {
         lambda: partition(Mesh("m", POINTS, FACES), np.arange(32)),
         BadLandmarks,
         "mesh m: landmarks must be 33 whole numbers, found int64 (32,)",
-    ),
-    "render for a camera without a projector": (
-        lambda: parse_rig(CAMERA, "x"),
-        BadConfig,
-        "rig x is a camera alone: rendering for it needs 'stand_off_m' and [projector]",
     ),
     "build an unknown network": (
         lambda: build("unet"),

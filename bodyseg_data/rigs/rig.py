@@ -170,20 +170,15 @@ def load_rig(name_or_path: str | Path = PAPER) -> Rig:
 
     Raises BadConfig, naming file and key, for anything missing, unknown or out of range, and for a camera alone.
     """
-    return parse_rig(_FILES.read(name_or_path), str(name_or_path))
+    rig = load_sensor(name_or_path).rig
+    if rig is None:
+        raise BadConfig(f"rig {name_or_path} is a camera alone: rendering for it needs 'stand_off_m' and [projector]")
+    return rig
 
 
 def load_sensor(name_or_path: str | Path = PAPER) -> Sensor:
     """Read a rig file as `load_rig`, with or without a projector. Raises BadConfig."""
     return parse_sensor(_FILES.read(name_or_path), str(name_or_path))
-
-
-def parse_rig(text: str, where: str) -> Rig:
-    """Parse a rig from TOML text; `where` names its origin in messages. Raises BadConfig as `load_rig`."""
-    rig = parse_sensor(text, where).rig
-    if rig is None:
-        raise BadConfig(f"rig {where} is a camera alone: rendering for it needs 'stand_off_m' and [projector]")
-    return rig
 
 
 def parse_sensor(text: str, where: str) -> Sensor:

@@ -13,7 +13,7 @@ import pytest
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import Camera, PlacedCamera, load_rig, rig_from_json
-from bodyseg_data.rigs.rig import parse_rig
+from bodyseg_data.rigs.rig import parse_sensor
 from bodyseg_data.samples import View
 
 PAPER = (resources.files("bodyseg_data.rigs") / "paper.toml").read_text()
@@ -108,7 +108,7 @@ def test_a_projectors_roll_turns_its_image_only() -> None:
 
 def test_a_rig_file_may_roll_its_devices() -> None:
     text = PAPER.replace("[projector]", "roll_deg = -7\n[projector]\nroll_deg = 90")
-    rig = parse_rig(text, "x")
+    rig = parse_sensor(text, "x").rig
     assert (rig.camera.roll_deg, rig.projector.roll_deg) == (-7.0, 90.0)
     assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig
     assert rig.to_json() != RIG.to_json()
@@ -121,7 +121,7 @@ def test_a_rig_without_roll_is_stored_as_before_there_was_any() -> None:
 
 def test_a_device_may_look_straight_down_if_it_says_what_is_up_in_its_image() -> None:
     text = PAPER.replace("[0.0, 0.0, 2.5]  # assumed: the", "[0.0, 2.5, 0.0]\nup = [0, 0, 2]  #", 1)
-    rig = parse_rig(text, "x")
+    rig = parse_sensor(text, "x").rig
     assert rig.camera.axes == pytest.approx(np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]))
     assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig
     camera, _ = rig.placed(CENTRE, View(255, 40))
@@ -141,7 +141,7 @@ def test_a_device_may_look_straight_down_if_it_says_what_is_up_in_its_image() ->
 )
 def test_a_pose_that_is_none_is_refused_in_one_line(lines: str, message: str) -> None:
     with pytest.raises(BadConfig, match=rf"^rig x, \[camera\]: .*{message}") as caught:
-        parse_rig(PAPER.replace("[projector]", f"{lines}\n[projector]"), "x")
+        parse_sensor(PAPER.replace("[projector]", f"{lines}\n[projector]"), "x")
     assert "\n" not in str(caught.value)
 
 

@@ -25,7 +25,7 @@ from folders import ROOT
 from PIL import Image
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, BodysegError
-from bodyseg_data.rigs.rig import parse_rig
+from bodyseg_data.rigs.rig import parse_sensor
 from bodyseg_data.shards import BODY_FIELDS, MANIFEST_NAME, encode_sample, read_manifest, record_from_json
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.tar import parse_members
@@ -195,7 +195,7 @@ def test_brackets_nested_as_deeply_as_can_just_be_read_are_refused(tmp_path: Pat
 @pytest.mark.parametrize("key", ["name", "stand_off_m", "camera", "format"])
 def test_a_rig_with_a_value_beyond_reason_is_refused_in_one_line(key: str, value: str) -> None:
     with pytest.raises(BadConfig, match="^rig x"):
-        parse_rig(
+        parse_sensor(
             f'format = "bodyseg rig 1"\n{key} = {value}\n'.replace('format = "bodyseg rig 1"\nformat', "format"), "x"
         )
 
