@@ -171,15 +171,15 @@ class LabelMap:
 
         Raises BadConfig if the mirror images of a class's members are not the members of one class.
         """
-        lopsided = self._lopsided
+        table, lopsided = self._opposites
         if lopsided is not None:
             raise BadConfig(f"labels {self.name!r}: the mirror image of the class {lopsided!r} must be one class")
-        return self._opposites
+        return table
 
     @property
     def has_mirror_image(self) -> bool:
         """True if images may be flipped: see `mirrored`."""
-        return self._lopsided is None
+        return self._opposites[1] is None
 
     @property
     def unpaired(self) -> tuple[str, str] | None:
@@ -192,22 +192,17 @@ class LabelMap:
         return next((pair for pair in pairs if pair[1] in own), None)
 
     @cached_property
-    def _lopsided(self) -> str | None:
-        """The first class whose mirror image is not one class, None without any."""
-        for name, members in zip(self.names, self.members, strict=True):
-            opposite = {int(self.table[self.of.mirrored[member]]) for member in members}
-            if members and (len(opposite) != 1 or BACKGROUND in opposite):
-                return name
-        return None
-
-    @cached_property
-    def _opposites(self) -> Bytes:
-        """As `mirrored`; a class without a mirror image stays as it is."""
+    def _opposites(self) -> tuple[Bytes, str | None]:
+        """As `mirrored`, and None; where the mirror image of a class is not one class, a table in which all stay as
+        they are, and the name of the first such class.
+        """
         found = np.arange(256, dtype=np.uint8)
-        if self._lopsided is None:
-            for label, members in enumerate(self.members):
-                found[label] = self.table[self.of.mirrored[members[0]]] if members else label
-        return found
+        for label, members in enumerate(self.members):
+            opposite = {int(self.table[self.of.mirrored[member]]) for member in members} or {label}
+            if len(opposite) != 1 or BACKGROUND in opposite:
+                return np.arange(256, dtype=np.uint8), self.names[label]
+            found[label] = opposite.pop()
+        return found, None
 
     @cached_property
     def sides(self) -> tuple[Side, ...]:
@@ -217,7 +212,7 @@ class LabelMap:
         """
         found: list[Side] = []
         for label, members in enumerate(self.members):
-            opposite = int(self._opposites[label])
+            opposite = int(self._opposites[0][label])
             own = {self.of.sides[member] for member in members} - {"middle"}
             if opposite == label:
                 found.append("middle")
@@ -232,7 +227,7 @@ class LabelMap:
         """Colours of the classes, sRGB, uint8 [len(self), 3]; a map that changes nothing has those of the set."""
         if self.is_whole:
             return self.of.colours
-        return class_colours(self.sides, self._opposites)
+        return class_colours(self.sides, self._opposites[0])
 
     @property
     def of_bodies(self) -> bool:
@@ -270,7 +265,8 @@ class LabelMap:
             if own != others:
                 shown = " and ".join("no class" if name is None else repr(name) for name in (own, others))
                 return f"the labels {self.name!r} and {other.name!r}: {label} is {shown}"
-        if self.has_mirror_image == other.has_mirror_image and np.array_equal(self._opposites, other._opposites):
+        (own_table, own_fault), (other_table, other_fault) = self._opposites, other._opposites
+        if (own_fault is None) == (other_fault is None) and np.array_equal(own_table, other_table):
             return None
         return f"the labels {self.name!r} and {other.name!r}, whose classes have other mirror images"
 
@@ -323,8 +319,6 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
         if labels.template is None and (differing := whole_map(labels.of).difference(whole_map(of))):
             raise BadConfig(f"labels {labels.name!r} are of other classes than the set's: found {differing}")
         return labels
-    if not isinstance(labels, str | Path):
-        raise BadConfig(f"labels must be a LabelMap, a name, or the path of a .toml file, found {labels!r}")
     if str(labels) in (of.name, PARTS33.name):
         return whole_map(of) if str(labels) == of.name else load_label_map(PARTS33, of)
     where = f"label map {labels}"

@@ -350,7 +350,7 @@ def test_names_that_no_map_has(tmp_path: Path) -> None:
         load_label_map("limbs")
     with pytest.raises(BadConfig, match="cannot read the label map file"):
         load_label_map(tmp_path / "nowhere.toml")
-    with pytest.raises(BadConfig, match="labels must be a LabelMap, a name, or the path of a .toml file, found 14"):
+    with pytest.raises(BadConfig, match="a label map is given by its name or a path, found 14"):
         load_label_map(14)  # type: ignore[arg-type]
 
 

@@ -90,7 +90,7 @@ def test_the_map_is_in_the_identity_unless_it_changes_nothing(figures_set: Path)
     [
         ("limbs", "no label map is called 'limbs'"),
         (Path("nowhere.toml"), "cannot read the label map file nowhere.toml"),
-        (3, "labels must be a LabelMap, a name, or the path of a .toml file, found 3"),
+        (3, "a label map is given by its name or a path, found 3"),
     ],
 )
 def test_maps_that_are_none_are_refused(figures_set: Path, labels: Any, message: str) -> None:
