@@ -157,9 +157,7 @@ def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> Sensor
     """
     if isinstance(sensor, SensorModel):
         return sensor
-    if not isinstance(sensor, str | Path):
-        raise BadConfig(f"a sensor must be a SensorModel, a name or a path, found {type(sensor).__name__}")
-    return _read(sensor) if Path(sensor).suffix == ".toml" else _shipped(str(sensor))
+    return _shipped(sensor) if sensor in sensor_model_names() else _read(sensor)
 
 
 def _read(name_or_path: str | Path) -> SensorModel:
