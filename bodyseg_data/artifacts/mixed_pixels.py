@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.noise import as_range, drawn_bits
+from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.core import Draws, bounded
 from bodyseg_data.machine import if_ready, loops
 
@@ -40,15 +40,15 @@ class MixedPixels(Artifact):
         if self.nearest_m is not None:
             wall_m = self.nearest_m + (wall_m - self.nearest_m) * draws.chance("mixed background")
         behind = round(wall_m / scene.step_m)
-        # The upper 16 bits of a draw choose the pixels, the lower 16 give the position in the gap.
-        bits = drawn_bits(draws, "mixed pixels", len(scene.pixels))
         with if_ready:
+            sensor = loops("bodyseg_data.artifacts.sensor_loops")
+            bits = sensor.bits_of(draws.stream("mixed pixels"), len(scene.pixels))
             flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
             limits = share * 65536, behind, self.jump_mm, scene.step_m
-            loops("bodyseg_data.artifacts.sensor_loops").mix(
-                flat, steps, image.range.shape[1], scene.pixels, bits, *limits
-            )
+            sensor.mix(flat, steps, image.range.shape[1], scene.pixels, bits, *limits)
             return
+        # The upper 16 bits of a draw choose the pixels, the lower 16 give the position in the gap.
+        bits = draws.pixels("mixed pixels", len(scene.pixels), np.uint32)
         clean = scene.sample.range.astype(np.int64)
         seen = np.pad(np.where(clean > 0, clean, behind), 1)
         neighbours = seen[:-2, 1:-1], seen[2:, 1:-1], seen[1:-1, :-2], seen[1:-1, 2:]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
 from bodyseg_data.core import Draws, bounded
-from bodyseg_data.machine import if_ready, loops
 
 
 @dataclass(frozen=True)
@@ -54,14 +53,6 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
     size = constant + offset * (linear + offset * bend)
     signed: NDArray[np.float32] = np.where(draws >> np.uint32(31), size, -size)
     return signed
-
-
-def drawn_bits(draws: Draws, purpose: str, count: int) -> NDArray[np.uint32]:
-    """32 random bits a pixel of a purpose, uint32 [count]; see `Draws.pixels`."""
-    with if_ready:
-        found: NDArray[np.uint32] = loops("bodyseg_data.artifacts.random_loops").bits_of(draws.stream(purpose), count)
-        return found
-    return draws.pixels(purpose, count, np.uint32)
 
 
 def steps_of(sigma_mm: float, step_m: float) -> np.float32:
