@@ -169,7 +169,7 @@ CASES: dict[str, Case] = {
     "add artifacts by a wrong seed": (
         lambda: Augmentation(load_rig(), "all", -1),
         BadConfig,
-        "a seed must be a whole number from 0 to 2**63 - 1, found -1",
+        "a seed must be a whole number from 0 to 9223372036854775807, found -1",
     ),
     "use an unknown rig": (
         lambda: load_rig("none"),

@@ -6,14 +6,12 @@ rank or a shard. So a sample gets the same bits however it is read, and an artif
 
 import hashlib
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, check_int
-
-_LARGEST: Final = 2**63
 
 Stream = NDArray[np.uint64]
 """A purpose's stream of random words: the key of a Philox generator, uint64 [2]."""
@@ -21,9 +19,7 @@ Stream = NDArray[np.uint64]
 
 def check_seed(seed: int) -> int:
     """`seed` as an int. Raises BadConfig unless it is a whole number from 0 to 2**63 - 1."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < _LARGEST:
-        raise BadConfig(f"a seed must be a whole number from 0 to 2**63 - 1, found {seed!r}")
-    return int(seed)
+    return check_int("a seed", seed, 0, 2**63 - 1)
 
 
 def check_epoch(epoch: int) -> int:
