@@ -409,16 +409,15 @@ class RangeImages(SampleDataset):
 
         shuffle: "blocks" for the order of `BlockOrder`: blocks of 32 neighbours, 32 of which are mixed at a time.
         """
-        if shuffle == "blocks":
-            return BlockOrder(len(self), self.seed, check_epoch(epoch))[:]
-        mixed = check_bool("shuffle", shuffle, "True, False or 'blocks'")
-        return permutation(len(self), self.seed, check_epoch(epoch)) if mixed else np.arange(len(self))
+        return self.requests(epoch, shuffle).indices[:]
 
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
         """Return `order` with the epoch of the draws, the same for all samples; by blocks, it comes in parts."""
-        blocks = shuffle == "blocks"
-        order = BlockOrder(len(self), self.seed, check_epoch(epoch)) if blocks else self.order(epoch, shuffle)
-        return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
+        count, blocks = len(self), shuffle == "blocks"
+        mixed = blocks or check_bool("shuffle", shuffle, "True, False or 'blocks'")
+        order_of = BlockOrder if blocks else permutation
+        order = order_of(count, self.seed, check_epoch(epoch)) if mixed else np.arange(count)
+        return Requests(order, np.broadcast_to(np.int64(epoch), count))
 
     def places(self, index: int) -> list[Place]:
         """Places of a sample's bytes, and of those of its planes that are columns."""

@@ -159,7 +159,7 @@ class Selection:
         parts = self._parts_of_train(manifest) if self.divides_train else {}
         named = set(self.only)  # keys, perhaps as many as samples, and patterns, whose marks no key has
         patterns = [re.compile(fnmatch.translate(each)).match for each in named if any(mark in each for mark in "*?[")]
-        marks = []
+        held: list[tuple[int, NDArray[np.uint32]]] = []
         for number in numbers:
             shard = manifest.shards[number]
             own = parts.get(number, np.ones(len(shard), np.bool_))
@@ -171,8 +171,10 @@ class Selection:
                 for sample in np.flatnonzero(own).tolist():
                     key = shard.keys[sample]
                     own[sample] = key in named or any(match(key) for match in patterns)
-            marks.append(own)
-        return ChosenSamples.marked(numbers, marks)
+            if own.any():
+                held.append((number, np.flatnonzero(own).astype(np.uint32)))
+        within = np.concatenate([own for _, own in held]) if held else np.empty(0, np.uint32)
+        return ChosenSamples(tuple(number for number, _ in held), tuple(len(own) for _, own in held), within)
 
     def _parts_of_train(self, manifest: Manifest) -> dict[int, NDArray[np.bool_]]:
         """Mark the samples of all shards of train that belong to the split: shard number -> bool [M]."""
@@ -194,14 +196,6 @@ class ChosenSamples:
     shards: tuple[int, ...]
     counts: tuple[int, ...]
     within: NDArray[np.uint32] | None = None
-
-    @classmethod
-    def marked(cls, numbers: Sequence[int], marks: Sequence[NDArray[np.bool_]]) -> ChosenSamples:
-        """Return the samples that are marked. marks: bool [M], of the samples of each of the shards `numbers`."""
-        chosen = [np.flatnonzero(each).astype(np.uint32) for each in marks]
-        held = [(number, own) for number, own in zip(numbers, chosen, strict=True) if len(own)]
-        within = np.concatenate([own for _, own in held]) if held else np.empty(0, np.uint32)
-        return cls(tuple(number for number, _ in held), tuple(len(own) for _, own in held), within)
 
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
