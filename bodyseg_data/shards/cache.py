@@ -41,14 +41,13 @@ BUSY: Final = -1
 
 @dataclass(frozen=True)
 class ShardCache:
-    """Cache of at most `limit` bytes of shards in `folder`; shards read within `in_use_s` seconds are not evicted.
+    """Cache of at most `limit` bytes of shards in `folder`; shards read within `IN_USE_S` seconds are not evicted.
 
     All methods raise OSError for errors of the disk.
     """
 
     folder: Path
     limit: int
-    in_use_s: float = IN_USE_S
 
     def path(self, record: CheckedFile) -> Path:
         """Path of the complete shard, present or not."""
@@ -65,7 +64,7 @@ class ShardCache:
         """
         try:
             with (self.part if part else self.path)(record).open("rb", buffering=0) as file:
-                if abs(time.time() - os.fstat(file.fileno()).st_mtime) > self.in_use_s / 4:
+                if abs(time.time() - os.fstat(file.fileno()).st_mtime) > IN_USE_S / 4:
                     with contextlib.suppress(OSError):  # the file of another user
                         os.utime(file.fileno())
                 data = os.pread(file.fileno(), length, offset)
@@ -129,7 +128,7 @@ class ShardCache:
             entries = sorted(self._entries())
             excess = sum(held for _, _, held in entries) + size - self.limit
             for used, path, held in entries:
-                if excess <= 0 or time.time() - used < self.in_use_s:
+                if excess <= 0 or time.time() - used < IN_USE_S:
                     break
                 victims.append(path)
                 excess -= held
@@ -150,7 +149,7 @@ class ShardCache:
                     with contextlib.suppress(FileNotFoundError):  # finished or evicted meanwhile
                         status = file.stat(follow_symlinks=False)
                         size = int(match[1]) if match[1] else status.st_size
-                        used = status.st_mtime if status.st_mtime <= time.time() + self.in_use_s else 0.0
+                        used = status.st_mtime if status.st_mtime <= time.time() + IN_USE_S else 0.0
                         entries.append((used, Path(file.path), size))
         return entries
 

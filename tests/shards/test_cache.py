@@ -267,7 +267,7 @@ def test_what_was_not_used_for_longest_goes_first(tmp_path: Path) -> None:
 
 
 def test_what_is_in_use_stays_and_nothing_goes_in_vain(tmp_path: Path) -> None:
-    cache = ShardCache(tmp_path, 3072, in_use_s=60)
+    cache = ShardCache(tmp_path, 3072)
     for number, age in enumerate((30, 500, 50)):
         assert fill(cache, record(number), age)
     assert not fill(cache, record(3, size=2048)), "one old shard would not be enough"
@@ -292,7 +292,9 @@ def test_what_the_cache_holds_is_looked_at_only_where_it_may_be_full(
     assert all(fill(cache, record(number), 100 - number) for number in range(20))
     assert len(looks) == 1, "each shard would cost a look at all before it"
     assert fill(cache, record(20), 1000) and not cache.path(record(0)).exists()
-    assert not fill(ShardCache(tmp_path, 10 * 1024, in_use_s=1e6), record(21)), "of another process, with another limit"
+    with monkeypatch.context() as patch:
+        patch.setattr("bodyseg_data.shards.cache.IN_USE_S", 1e6)
+        assert not fill(ShardCache(tmp_path, 10 * 1024), record(21)), "of another process, with another limit"
     assert len(looks) == 3
     for path in list(tmp_path.glob("*.tar"))[:5]:
         path.unlink()
@@ -303,7 +305,7 @@ def test_what_the_cache_holds_is_looked_at_only_where_it_may_be_full(
 
 def test_a_clock_that_was_set_back_keeps_nothing_for_ever(tmp_path: Path) -> None:
     """As of a robot without a battery for its clock: what it read yesterday was read next year."""
-    cache = ShardCache(tmp_path, 3072, in_use_s=60)
+    cache = ShardCache(tmp_path, 3072)
     year = 365 * 24 * 3600
     assert all(fill(cache, record(number), age_s=-year) for number in range(3))
     assert cache.read(record(1), 0, 4) == b"\1\1\1\1"
@@ -313,19 +315,23 @@ def test_a_clock_that_was_set_back_keeps_nothing_for_ever(tmp_path: Path) -> Non
     assert not fill(cache, record(5)), "all of them are in use"
 
 
-def test_files_that_are_not_the_caches_own_stay(tmp_path: Path) -> None:
+def test_files_that_are_not_the_caches_own_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bodyseg_data.shards.cache.IN_USE_S", 0)
     for name in ("thesis.tar", f"{'a' * 63}.tar", f"{'a' * 64}.tar.bak"):
         (tmp_path / name).write_bytes(b"x" * 9999)
         os.utime(tmp_path / name, (0, 0))
-    cache = ShardCache(tmp_path, 1024, in_use_s=0)
+    cache = ShardCache(tmp_path, 1024)
     assert fill(cache, record(0), 10)
     assert fill(cache, record(1), 10)
     assert used_bytes(cache) == 1024
     assert len(list(tmp_path.iterdir())) == 5
 
 
-def test_a_part_counts_in_full_and_is_evicted_only_if_nobody_writes_it(tmp_path: Path) -> None:
-    cache = ShardCache(tmp_path, 3000, in_use_s=0)
+def test_a_part_counts_in_full_and_is_evicted_only_if_nobody_writes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bodyseg_data.shards.cache.IN_USE_S", 0)
+    cache = ShardCache(tmp_path, 3000)
     part = cache.part(record(0, size=2048))
     part.write_bytes(b"begun")
     os.utime(part, (0, 0))
