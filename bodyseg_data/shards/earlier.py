@@ -28,9 +28,8 @@ _THING: Final = 62
 
 
 def manifest_as_current(tree: dict[str, Any], where: str) -> dict[str, Any]:
-    """The fields of a manifest of format 5 or 6 as format 7 has them. Raises BadShard, naming `where`."""
-    skipped = {"skipped": tree["skipped"]} if "skipped" in tree else {}
-    if set(tree) - {"skipped"} != _TREE:
+    """Fields of a manifest of format 5 or 6, but `skipped`, as format 7 has them. Raises BadShard, naming `where`."""
+    if set(tree) != _TREE:
         raise BadShard(f"{where}: format {tree['format']!r} has the fields {sorted(_TREE)}, found {sorted(tree)}")
     if tree["parts"] != list(LANDMARKS):
         raise BadShard(f"{where}: 'parts' are not those of format {tree['format']!r}")
@@ -46,7 +45,6 @@ def manifest_as_current(tree: dict[str, Any], where: str) -> dict[str, Any]:
         "projector": "shadow",
         "planes": {},
         "shards": shards,
-        **skipped,
     }
 
 

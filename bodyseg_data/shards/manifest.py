@@ -228,9 +228,9 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
 
 def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
     digest, read_as = str(tree.pop("digest")), str(tree["format"])
+    skipped = _skipped(tree.pop("skipped", []), path)
     if read_as in EARLIER_FORMATS:
         tree = manifest_as_current(tree, path)
-    skipped = _skipped(tree.pop("skipped", []), path)
     if set(tree) != _FIELDS:
         raise BadShard(f"{path}: format {MANIFEST_FORMAT!r} has the fields {sorted(_FIELDS)}, found {sorted(tree)}")
     texts = {name: tree[name] for name in ("codec", "source", "renderer", "plan")}
