@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, BadShard
+from bodyseg_data.samples import SampleInfo
 from bodyseg_data.shards.columns import column_names, read_column
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.records import ShardRecord, check_bytes, difference, location
+from bodyseg_data.shards.records import ShardRecord, check_bytes, location
 from bodyseg_data.shards.remote import Unreachable
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
 from bodyseg_data.shards.store import Store, open_file, store_at
@@ -155,9 +156,7 @@ def _check_piece(column: Manifest, shard: ShardRecord, index: int, data: bytes) 
         decode_piece(column, key, data)
         return
     info = parse_info(parse_members(key, data).get("json", b""), key)
-    differs = difference(info, shard.descriptions.info(index, shard.split), column.fields)
-    if differs is not None:
-        raise BadSample(f"{key}: the value differs from the column's manifest: {differs}")
+    _check_described(column, shard, index, info, "the value differs from the column's manifest")
 
 
 def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:
@@ -167,12 +166,18 @@ def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: byt
     check_sizes(sample, manifest.rig)
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
-    differs = difference(sample.info, shard.descriptions.info(index, shard.split), manifest.fields)
-    if differs is not None:
-        raise BadSample(f"{key}: the description differs from the manifest's: {differs}")
+    _check_described(manifest, shard, index, sample.info, "the description differs from the manifest's")
     found = {name: plane.dtype.name for name, plane in sample.planes.items()}
     if found != dict(manifest.planes):
         raise BadSample(f"{key}: the set has the planes {dict(manifest.planes) or 'none'}, found {found or 'none'}")
     if (sample.projector_range is None) != (manifest.projector == "none"):
         raise BadSample(f"{key}: the set's projector range is {manifest.projector!r}, the sample says otherwise")
     manifest.rig_of(sample)
+
+
+def _check_described(manifest: Manifest, shard: ShardRecord, index: int, info: SampleInfo, differs: str) -> None:
+    """Raise BadSample, with the words `differs`, unless a sample's own fields have the values in the manifest."""
+    listed = shard.descriptions.info(index, shard.split)
+    for field in manifest.fields.kinds:
+        if (own := info.get(field)) != (other := listed.get(field)):
+            raise BadSample(f"{shard.keys[index]}: {differs}: {field!r} is {own!r}, in the manifest {other!r}")

@@ -181,18 +181,6 @@ def _table(columns: Any, names: tuple[tuple[str, str], ...], where: str) -> tupl
     return rows
 
 
-def difference(stored: SampleInfo, listed: SampleInfo, fields: Fields) -> str | None:
-    """Return one line on the first field in which a sample's own description differs from the manifest's, or None.
-
-    fields: of the set. The split is the shard's, which its reader compares.
-    """
-    for field in fields.kinds:
-        own, other = stored.get(field), listed.get(field)
-        if own != other:
-            return f"{field!r} is {own!r}, in the manifest {other!r}"
-    return None
-
-
 class Entry(NamedTuple):
     """Place of a piece of a file. key: its name. offset, length: bytes. crc32: of those bytes."""
 
