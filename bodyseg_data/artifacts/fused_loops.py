@@ -151,7 +151,7 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
 
     They may be the sample's own. Raises BadSample for a sample that does not fit the shadow test of the rig.
     """
-    sample, occupancy, shadows = scene.sample, scene.sample.occupancy, list[Shadow]()
+    sample, shadows = scene.sample, list[Shadow]()
     noisy, sigma_mm, rate = False, 0.0, 0.0
     noise = missing = _NO_STREAM
     for artifact in artifacts:
@@ -168,8 +168,8 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
     scratch = scratch_for(sample.range.size, scene.rig.projector.rows, scene.rig.projector.columns)
     second_scratch = None if second is None else second_scratch_for(scratch, second.rows, second.columns)
     runs = -1
-    if occupancy is not None and occupancy.edges is not None:
-        scratch, runs = scratch._replace(edges=occupancy.edges), len(occupancy.edges) // 2
+    if sample.edges is not None:
+        scratch, runs = scratch._replace(edges=sample.edges), len(sample.edges) // 2
     clean, columns = constant(sample.range), sample.range.shape[1]
     copy_unless_same(sample.range, image.range)
     copy_unless_same(sample.labels, image.labels)

@@ -169,7 +169,7 @@ def shadow_tests(rig: Rig) -> tuple[ShadowTest, ...]:
 
 
 class ProjectorView(NamedTuple):
-    """One projector's share of a sample. texels: as in `Occupancy`, of this image."""
+    """One projector's share of a sample. texels: as of `Sample`, in this image."""
 
     test: ShadowTest
     projector_range: Range
@@ -182,9 +182,7 @@ def projector_views(rig: Rig, sample: Sample) -> list[ProjectorView]:
 
     Raises BadSample for a sample without what two projectors see, or without any projector's range.
     """
-    image = sample.occluder_range()
-    texels = None if sample.occupancy is None else sample.occupancy.texels
-    tests = shadow_tests(rig)
+    image, texels, tests = sample.occluder_range(), sample.texels, shadow_tests(rig)
     if rig.second_projector is None:
         return [ProjectorView(tests[0], image, sample.faces_projector, texels)]
     if sample.faces_second is None or image.shape != rig.projector_shape:

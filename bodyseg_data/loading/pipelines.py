@@ -58,7 +58,7 @@ def sample_of(read: Mapping[str, Any], projectors: int, unlabelled: int) -> Samp
         first, second = facing_masks(images["facing"], projectors)
         planes = {name.split(".")[1]: plane for name, plane in members.items() if name.startswith("plane.")}
         info = info_from_json(info, key)
-        return Sample(key, images["range"], images["projector"], labels, first, info, None, second, planes)
+        return Sample(key, images["range"], images["projector"], labels, first, info, second, planes)
     members |= {"json": json.dumps(info).encode()} if isinstance(info, dict) else {}
     for name, each in members.items():
         if not isinstance(each, bytes):

@@ -249,9 +249,8 @@ class RangeImages(SampleDataset):
 
     def _shaded(self, sample: Sample) -> Sample:
         """The sample with the projector's range computed from the camera's."""
-        known = None if sample.occupancy is None else replace(sample.occupancy, texels=None)
         cast = seen_by_projectors(sample.range, self.manifest.rig_of(sample))
-        return replace(sample, projector_range=cast, occupancy=known)
+        return replace(sample, projector_range=cast, texels=None)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
         """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays.
@@ -311,8 +310,8 @@ class RangeImages(SampleDataset):
             draws = Draws(self.seed, epoch, made.key)
             made = transform_image(seen, self.transforms, draws, self.unlabelled)
         if self._joins:
-            known = sample.occupancy if self.augmentation.keeps_outline and not self.transforms else None
-            self.label_map.write(made.labels, None if known is None else known.edges, self.unlabelled)
+            edges = sample.edges if self.augmentation.keeps_outline and not self.transforms else None
+            self.label_map.write(made.labels, edges, self.unlabelled)
         TALLY.lap(Stage.TRANSFORM)
         return made
 

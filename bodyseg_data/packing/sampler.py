@@ -116,7 +116,7 @@ class Sampler:
             planes[TEMPLATE] = np.full(seen.face.shape, NOWHERE, np.uint16)
             seen_at = points(np.arange(len(pixels)))
             planes[TEMPLATE].ravel()[pixels] = self._places(faces, seen_at, self._template)
-        sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, None, second, planes)
+        sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, second, planes)
         sample.check(self._classes)
         return sample
 

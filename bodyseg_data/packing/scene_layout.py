@@ -79,7 +79,7 @@ class SceneLayout:
                 occluder = _coarse(rig, range_image, facing, occluder)
         second = facing[1] if len(facing) == 2 else None
         info = SampleInfo(taken.split, taken.fields)
-        return Sample(key, range_image, occluder, labels, facing[0], info, faces_second=second, planes=taken.planes)
+        return Sample(key, range_image, occluder, labels, facing[0], info, second, taken.planes)
 
     def _labels(self, scene: Render, size: tuple[int, int]) -> NDArray[np.uint8]:
         labels = _integers(scene.labels, "labels", size, scene.key)

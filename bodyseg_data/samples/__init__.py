@@ -14,7 +14,6 @@ if TYPE_CHECKING:
         SHADOW_THRESHOLDS,
         SPLITS,
         OccluderName,
-        Occupancy,
         ReadSplit,
         Sample,
         SampleInfo,

@@ -171,18 +171,6 @@ def kind_of(value: Any, name: str) -> str:
     return kind
 
 
-@dataclass(frozen=True)
-class Occupancy:
-    """Flat indices of the pixels that hold anything, as decoding found them; None: not found.
-
-    edges: int32 [2 N], in reading order: where foreground begins, ends, begins ...; texels: int32 [N], ascending, where
-    the projector's range is not 0. Compiled loops rely on both: a sample whose images are changed must drop them.
-    """
-
-    edges: NDArray[np.int32] | None
-    texels: NDArray[np.int32] | None
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Sample:
     """A clean scene before one camera.
@@ -194,8 +182,11 @@ class Sample:
     samples that were read for batches, surfaces of no class are 255, too.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something stands
     between); False on background. faces_second: the same for a second projector; None if the rig has one.
-    occupancy: only of samples decoded into given arrays.
     planes: name -> uint8 or uint16 [H, W], further images of integers that a set may have.
+    edges, texels: flat indices of what holds anything, only of samples decoded into given arrays, None if decoding did
+    not find them. edges: int32 [2 N], in reading order: where foreground begins, ends, begins ...; texels: int32 [N],
+    ascending, where the projector's range is not 0. Compiled loops rely on both: a sample whose images are changed must
+    drop them.
     """
 
     key: str
@@ -204,9 +195,10 @@ class Sample:
     labels: NDArray[np.uint8]
     faces_projector: NDArray[np.bool_]
     info: SampleInfo
-    occupancy: Occupancy | None = None
     faces_second: NDArray[np.bool_] | None = None
     planes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    edges: NDArray[np.int32] | None = None
+    texels: NDArray[np.int32] | None = None
 
     def __repr__(self) -> str:
         projector = "no" if self.projector_range is None else shape_of(self.projector_range)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, check_choice, reported
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
-from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
+from bodyseg_data.samples import Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, ImageCodec, OutputArrays
 from bodyseg_data.shards.codecs.png import EarlierPngImages
@@ -80,7 +80,7 @@ def decode_sample(
     found = _planes(key, codec, stored, planes) if stored and planes != () else {}
     if out is None:
         info = stored_info(members["json"], key)
-        return Sample(key, images.range, images.occluder, images.labels, first, info, faces_second=second, planes=found)
+        return Sample(key, images.range, images.occluder, images.labels, first, info, second, found)
     sample = _IntoArrays.__new__(_IntoArrays)  # not by __init__, which needs the description
     sample.__dict__.update(
         key=key,
@@ -88,9 +88,10 @@ def decode_sample(
         projector_range=images.occluder,
         labels=images.labels,
         faces_projector=first,
-        occupancy=Occupancy(images.edges, images.texels),
         faces_second=second,
         planes=found,
+        edges=images.edges,
+        texels=images.texels,
         _description=members["json"],
     )
     return sample

@@ -77,8 +77,8 @@ def test_runs_whose_length_takes_several_bytes_survive(length: int) -> None:
             assert same(decode_sample(sample.key, members), sample)
     with computed_by("compiled"):
         into = decode_sample(sample.key, members, out=(np.empty_like(ranges), np.empty_like(labels)))
-    assert same(into, sample) and into.occupancy is not None
-    assert into.occupancy.edges is not None, "NumPy's form decodes what the loop refuses"
+    assert same(into, sample)
+    assert into.edges is not None, "NumPy's form decodes what the loop refuses"
 
 
 @given(sample=samples(), codec=st.sampled_from(list(CODECS)))
@@ -101,7 +101,7 @@ def test_any_sample_of_two_projectors_survives(sample: Sample, codec: CodecName,
         with computed_by(choice):
             decoded = decode_sample(sample.key, members, projector=projector, out=out, projectors=2)
         if into and (choice, codec) == ("compiled", "bsi"):
-            assert decoded.occupancy is not None and decoded.occupancy.edges is not None, "the loop refuses it"
+            assert decoded.edges is not None, "the loop refuses it"
         for field in ("range", "labels", "faces_projector", "faces_second"):
             assert np.array_equal(getattr(decoded, field), getattr(sample, field))
         assert decoded.info == sample.info
@@ -571,13 +571,12 @@ def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_any
             decoded = decode_sample(sample.key, stored, out=out)
             assert decoded.range is out[0]
             assert decoded.labels is out[1]
-            assert same(replace(decoded, occupancy=None), decode_sample(sample.key, stored))
-            assert decoded.occupancy is not None
-            assert decoded.occupancy.texels is not None
-            assert np.array_equal(decoded.occupancy.texels, np.flatnonzero(sample.projector_range))
+            assert same(replace(decoded, edges=None, texels=None), decode_sample(sample.key, stored))
+            assert decoded.texels is not None
+            assert np.array_equal(decoded.texels, np.flatnonzero(sample.projector_range))
             if choice == "compiled":
-                assert decoded.occupancy.edges is not None
-                begin, end = decoded.occupancy.edges.reshape(-1, 2).T
+                assert decoded.edges is not None
+                begin, end = decoded.edges.reshape(-1, 2).T
                 assert (begin < end).all()
                 assert (begin[1:] >= end[:-1]).all()
                 held = [np.arange(*edges) for edges in zip(begin, end, strict=True)]
@@ -648,7 +647,7 @@ def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
     wrong = np.zeros((2, 2), np.uint16), np.zeros(shape, np.uint8)
     striped = np.zeros((shape[0], 2 * shape[1]), np.uint16)[:, ::2], np.zeros(shape, np.uint8)
     for out in (wrong, striped):
-        assert same(replace(decode_sample(sample.key, stored, out=out), occupancy=None), sample)
+        assert same(replace(decode_sample(sample.key, stored, out=out), edges=None, texels=None), sample)
         assert not out[0].any()
         assert not out[1].any()
 

@@ -87,7 +87,7 @@ def make(
         for each in (seen.range_m, seen.projector_range_m)
     )
     facing = [*np.asarray(seen.facing).reshape(-1, *near.shape), None]
-    sample = Sample(seen.key, near, lit, seen.labels, facing[0], SampleInfo("test"), None, facing[1])
+    sample = Sample(seen.key, near, lit, seen.labels, facing[0], SampleInfo("test"), facing[1])
     image = Augmentation(rig, "all", SEED, load_sensor_model(sensor))(sample)
     measured = image.range > 0
     labels = np.where(measured & (image.labels == BACKGROUND), UNLABELLED, image.labels).astype(np.uint8)
