@@ -300,7 +300,9 @@ class Table:
     Every method that reads a key removes it, and raises BadConfig, naming `where`, if it is missing or of another kind.
     """
 
-    def __init__(self, tree: dict[str, Any], where: str) -> None:
+    def __init__(self, tree: Any, where: str) -> None:
+        if not isinstance(tree, dict):
+            raise BadConfig(f"{where} must be an object, found {type(tree).__name__}")
         self._tree, self.where = dict(tree), where
 
     def _take(self, key: str, kind: str) -> Any:

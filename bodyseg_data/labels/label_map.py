@@ -296,12 +296,12 @@ def label_map_names() -> tuple[str, ...]:
 
 def label_map_from_json(tree: Any, where: str) -> LabelMap:
     """Read a label map from what `LabelMap.to_json` gave. Raises BadConfig, naming `where`."""
-    table = _table(tree, where)
+    table = Table(tree, where)
     name, rows = table.text("name"), tree.get("classes")
     of = classes_from_json(tree["of"], where) if "of" in tree else PART_CLASSES
     if not isinstance(rows, list):
         raise BadConfig(f"{where}: 'classes' must be a list, found {type(rows).__name__}")
-    classes = [(_table(row, f"{where}, a class").text("name"), row.get(_listed(of))) for row in rows]
+    classes = [(Table(row, f"{where}, a class").text("name"), row.get(_listed(of))) for row in rows]
     return _map(name, classes, of, where)
 
 
@@ -351,12 +351,6 @@ def _regions(kind: Any, numbers: Any, classes: Any, folder: Path, where: str) ->
     with reported(where, BadConfig):
         of = classes_of(list(numbers), _OF_REGIONS)
     return OnTemplate(str(folder / kind) if is_file else kind, () if kind == "bones" else tuple(numbers.values())), of
-
-
-def _table(tree: Any, where: str) -> Table:
-    if not isinstance(tree, dict):
-        raise BadConfig(f"{where}: labels must be an object, found {type(tree).__name__}")
-    return Table(tree, where)
 
 
 def _listed(of: Classes) -> str:

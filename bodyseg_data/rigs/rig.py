@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, bounded, check_fields, reported
+from bodyseg_data.core import BadConfig, bounded, check_choice, check_fields, reported
 from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, check_intrinsics
 from bodyseg_data.samples import View
@@ -202,9 +202,8 @@ def parse_sensor(text: str, where: str) -> Sensor:
 
 def rig_from_json(tree: Any) -> Rig:
     """Rebuild a rig from what `Rig.to_json` gave. Raises BadConfig."""
-    if not isinstance(tree, dict) or tree.get("format") != RIG_FORMAT:
-        raise BadConfig(f"a stored rig's 'format' must be {RIG_FORMAT!r}")
-    table = Table({key: value for key, value in tree.items() if key != "format"}, "a stored rig")
+    table = Table(tree, "a stored rig")
+    check_choice("a stored rig's 'format'", table.text("format"), (RIG_FORMAT,))
     name, camera = table.text("name"), camera_from_table(table.table("camera"), posed=True, lens=True)
     lighting = _lighting(table)
     table.finish()

@@ -359,7 +359,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert "summary.json is none of `bodyseg segment`: TypeError(" in refused(capsys, *words)
     summary["labels"] = []
     (folder / "summary.json").write_text(json.dumps(summary))
-    assert "summary.json, labels: labels must be an object, found list" in refused(capsys, *words)
+    assert "summary.json, labels must be an object, found list" in refused(capsys, *words)
     (folder / "summary.json").write_text("{}")
     assert "summary.json is none of `bodyseg segment`: KeyError('labels')" in refused(capsys, *words)
     (folder / "summary.json").rename(folder / "unfinished.json")

@@ -289,10 +289,10 @@ def test_a_map_comes_back_from_json_in_its_order(label_map: LabelMap) -> None:
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
-        ([], "a card: labels must be an object, found list"),
+        ([], "a card must be an object, found list"),
         ({}, "a card: text 'name' is missing"),
         ({"name": "x", "classes": {"a": ["Sellion"]}}, "a card: 'classes' must be a list, found dict"),
-        ({"name": "x", "classes": ["a"]}, "a card, a class: labels must be an object, found str"),
+        ({"name": "x", "classes": ["a"]}, "a card, a class must be an object, found str"),
         ({"name": "x", "classes": [{"landmarks": ["Sellion"]}]}, "a card, a class: text 'name' is missing"),
         (
             {"name": "x", "classes": [{"name": "a"}]},

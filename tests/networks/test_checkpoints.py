@@ -104,7 +104,7 @@ def change_weights(file: Path, change: Callable[[torch.Tensor], torch.Tensor]) -
         (lambda file: file.with_suffix(".json").write_text("{"), "is not JSON"),
         (lambda file: file.with_suffix(".json").write_text("[]"), "must hold a JSON object, found list"),
         (lambda file: rewrite_card(file, format="x"), "the format must be 'bodyseg network 1', found 'x'"),
-        (lambda file: rewrite_card(file, rig="paper"), "network.json: a stored rig's 'format' must be"),
+        (lambda file: rewrite_card(file, rig="paper"), "network.json: a stored rig must be an object, found str"),
         (lambda file: rewrite_card(file, network=3), "must name the network and its settings"),
         (lambda file: rewrite_card(file, network="unet"), "network.json: the network must be one of"),
         (lambda file: rewrite_card(file, settings={"widths": [8]}), "network.json: blocks must be numbers"),

@@ -112,9 +112,11 @@ def test_a_rig_survives_json() -> None:
     rig = replace(load_rig(), stand_off_m=0.5)
     assert rig_from_json(rig.to_json()) == rig
     assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig
-    with pytest.raises(BadConfig, match="format"):
+    with pytest.raises(BadConfig, match="^a stored rig must be an object, found list$"):
         rig_from_json([])
-    with pytest.raises(BadConfig, match="^a stored rig's 'format' must be 'bodyseg rig 1'$"):
+    with pytest.raises(
+        BadConfig, match="^a stored rig's 'format' must be one of bodyseg rig 1, found 'bodyseg rig 2'$"
+    ):
         rig_from_json({**rig.to_json(), "format": "bodyseg rig 2"})
 
 
