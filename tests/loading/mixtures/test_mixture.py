@@ -182,13 +182,13 @@ def test_a_late_epoch_reads_and_orders_no_other(
     known: RangeImages, people: RangeImages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ordered: list[int] = []
-    plain = RangeImages.order
+    plain = RangeImages.requests
 
-    def order(self: RangeImages, epoch: int, shuffle: bool = True) -> Any:
+    def requests(self: RangeImages, epoch: int, shuffle: bool = True) -> Any:
         ordered.append(epoch)
         return plain(self, epoch, shuffle)
 
-    monkeypatch.setattr(RangeImages, "order", order)
+    monkeypatch.setattr(RangeImages, "requests", requests)
     mixture = Mixture([(known, [(0, 0), (1000, 1)]), (people, 1)], samples=16)
     late = mixture.requests(10**6)
     assert len(late.indices) == 16
