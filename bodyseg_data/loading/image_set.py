@@ -12,10 +12,11 @@ import copy
 import operator
 import os
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import FrameType
-from typing import Any, Final, Literal, NotRequired, Protocol, TypedDict, runtime_checkable
+from typing import Any, Final, Literal, NotRequired, TypedDict
 
 import numpy as np
 import torch
@@ -87,63 +88,57 @@ class Batch(TypedDict):
     planes: NotRequired[dict[str, torch.Tensor]]
 
 
-@runtime_checkable
-class ImageSet(Protocol):
-    """Images that `loader` and `BatchOrder` read: `RangeImages` or a `Mixture`.
+class ImageSet(ABC, Dataset[dict[str, Any]]):
+    """Images that `loader` and `BatchOrder` read, epoch after epoch: base of `RangeImages` and `Mixture`.
 
     `len()` is the number of samples in an epoch. An index is that of a stored sample. epoch: of the next pass.
     epochs_set: number of calls of `set_epoch` so far. sets: the sets of shards that are read, in their order. planes:
     name -> type of the further images that batches hold.
     """
 
+    epoch: int
+    epochs_set: int = 0
+    split: str | None
+    variant: str
+    shape: tuple[int, int]
+    step_m: float
+    label_map: LabelMap
+    planes: Mapping[str, np.dtype[Any]]
+
     @property
-    def epoch(self) -> int: ...
-    @property
-    def epochs_set(self) -> int: ...
-    @property
-    def split(self) -> str | None: ...
-    @property
-    def variant(self) -> str: ...
-    @property
-    def shape(self) -> tuple[int, int]: ...
-    @property
-    def step_m(self) -> float: ...
-    @property
-    def label_map(self) -> LabelMap: ...
-    @property
-    def planes(self) -> Mapping[str, np.dtype[Any]]: ...
-    @property
+    @abstractmethod
     def sets(self) -> tuple[Any, ...]: ...  # `RangeImages`, which are made from what stands here
 
+    @abstractmethod
     def __len__(self) -> int: ...
 
+    @abstractmethod
     def identity(self) -> dict[str, Any]:
         """All that batches depend on besides their order, as plain JSON."""
 
+    @abstractmethod
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
         """Samples of an epoch in the order of a pass: a function of the seeds and the epoch alone."""
 
+    @abstractmethod
     def location(self, index: int) -> tuple[str, str, int]:
         """(shard name, key, byte offset in the shard) of a sample."""
 
+    @abstractmethod
     def places(self, index: int) -> list[Place]:
         """Places of a sample's bytes."""
 
+    @abstractmethod
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts."""
 
+    @abstractmethod
     def write(self, index: int, epoch: int, image: Range, labels: Labels, planes: Sequence[NDArray[Any]] = ()) -> None:
         """Write a sample, as drawn in `epoch`, into arrays [H, W]; planes: one for each of `self.planes`."""
 
+    @abstractmethod
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return indices of about `count` samples that stand for the whole, int64 [M]."""
-
-
-class SampleDataset(Dataset[dict[str, Any]]):
-    """Base of `RangeImages` and `Mixture`: a dataset of PyTorch, read by indices or by batches, epoch after epoch."""
-
-    epoch: int
-    epochs_set: int = 0
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch of the draws for indexing, and of a loader's next pass."""
@@ -151,7 +146,7 @@ class SampleDataset(Dataset[dict[str, Any]]):
         self.epochs_set += 1
 
     def batches(
-        self: ImageSet,
+        self,
         batch_size: int,
         shuffle: Shuffle | None = None,
         drop_last: bool = False,

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.core import BadConfig, BadShard, Draws, check_epoch, check_int, check_seed
-from bodyseg_data.loading.image_set import Labels, Range, Request, Requests, SampleDataset, Shuffle, check_index
+from bodyseg_data.loading.image_set import ImageSet, Labels, Range, Request, Requests, Shuffle, check_index
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.selection import permutation
 from bodyseg_data.samples import Sample
@@ -237,7 +237,7 @@ Part = tuple[RangeImages, Weight] | tuple[RangeImages, Weight, ArrayLike]
 _AGREEING: Final = {"shape": "images of one size", "step_m": "one step of range", "planes": "the same planes"}
 
 
-class Mixture(SampleDataset):
+class Mixture(ImageSet):
     """Several sets as one: every epoch has `samples` samples, and each set gives its share of them. `len()` is exact.
 
     sets: (images, weight) of each set, or (images, weight, sample weights). A weight is a number, or knots (epoch,
@@ -263,7 +263,7 @@ class Mixture(SampleDataset):
 
     def __init__(self, sets: Sequence[Part], samples: int | None = None, seed: int = 0, epoch: int = 0) -> None:
         parts = _checked_parts(sets)
-        self.sets: tuple[RangeImages, ...] = tuple(part[0] for part in parts)
+        self._sets: tuple[RangeImages, ...] = tuple(part[0] for part in parts)
         first, self.seed = self.sets[0], check_seed(seed)
         self.step_m, self.shape, self.label_map, self.planes = first.step_m, first.shape, first.label_map, first.planes
         """As of all sets; label maps of others have the same classes."""
@@ -272,21 +272,18 @@ class Mixture(SampleDataset):
         self._samples = self._starts[-1] if samples is None else check_int("samples", samples, 1)
         self._shares = Shares([read_schedule(part[1]) for part in parts], self._samples)
         self._held: tuple[int, Shuffle, Requests] | None = None
+        self.variant = ", ".join(dict.fromkeys(images.variant for images in self.sets))
+        splits = {images.split for images in self.sets}
+        self.split = splits.pop() if len(splits) == 1 else None
         self.set_epoch(epoch)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_held": None}  # workers get requests, and need no order
 
     @property
-    def variant(self) -> str:
-        """Names of the sets' variants, each once."""
-        return ", ".join(dict.fromkeys(images.variant for images in self.sets))
-
-    @property
-    def split(self) -> str | None:
-        """The split of all sets; None if they have several."""
-        splits = {images.split for images in self.sets}
-        return splits.pop() if len(splits) == 1 else None
+    def sets(self) -> tuple[RangeImages, ...]:
+        """The sets, in their order."""
+        return self._sets
 
     @property
     def keys(self) -> list[str]:

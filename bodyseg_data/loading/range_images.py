@@ -32,7 +32,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_choice, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, TEMPLATE, UNLABELLED, LabelMap, load_label_map, whole_map
 from bodyseg_data.loading.conditions import named_fields, table_of, texts_of
-from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
+from bodyseg_data.loading.image_set import ImageSet, Request, Requests, Shuffle, check_bool, check_index
 from bodyseg_data.loading.pipelines import sample_of
 from bodyseg_data.loading.selection import BlockOrder, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
@@ -65,7 +65,7 @@ from bodyseg_data.shards import (
 )
 
 
-class RangeImages(SampleDataset):
+class RangeImages(ImageSet):
     """Dataset of range images with artifacts: one variant of a set of shards. Random access; `len()` is exact.
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
@@ -134,8 +134,8 @@ class RangeImages(SampleDataset):
         named = (*named_fields(where), *asked, *(("subject",) if val_share else ()))  # val is chosen by subject
         self.columns = open_columns(store, self.manifest, texts_of("columns", columns), named)
         self.manifest = with_columns(self.manifest, self.columns)
-        self.split, self.seed = split, seed
-        self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model, classes)
+        self.split, self.seed, self.variant = split, seed, check_variant(variant)
+        self.augmentation = Augmentation(self.manifest.rig, self.variant, seed, model, classes)
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
         self._casts = occluder == "camera" and self.augmentation.needs_projector
@@ -157,6 +157,8 @@ class RangeImages(SampleDataset):
         self._has_map = TEMPLATE in self.planes and source != "column"
         self.transforms = check_transforms(transform)
         self.unlabelled = UNLABELLED if check_bool("unlabelled", unlabelled) or self.label_map.has_rest else BACKGROUND
+        self.step_m = self.manifest.rig.range_step_m
+        """One step of uint16 range images, metres: the rig's."""
         camera = self.manifest.rig.camera
         self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
         """Rows and columns of the images, as the transforms leave them."""
@@ -170,16 +172,6 @@ class RangeImages(SampleDataset):
         files += [column.shards[number] for column in self.columns.values() if column.planes for number in chosen]
         self.reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
         self.set_epoch(epoch)
-
-    @property
-    def variant(self) -> str:
-        """Name of the variant."""
-        return self.augmentation.variant
-
-    @property
-    def step_m(self) -> float:
-        """One step of the set's uint16 range images, metres: the rig's (`Rig.range_step_m`)."""
-        return self.manifest.rig.range_step_m
 
     @property
     def keys(self) -> list[str]:
