@@ -5,7 +5,6 @@ Packages of users add theirs by the entry point `bodyseg.artifacts`: name -> cla
 
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from functools import cache
 from importlib import metadata
 from typing import Any, Final, cast, get_args
 
@@ -43,7 +42,13 @@ def artifact_class(name: str) -> type[Artifact]:
         return ARTIFACTS[name]
     added = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
     check_choice("an artifact", name, (*ARTIFACTS, *added))
-    return _loaded(added[name])
+    where = f"entry point {name} = {added[name].value!r} of {ENTRY_POINT}"
+    with reported(f"{where} cannot be loaded", BadConfig, Exception):  # whatever the user's module raises
+        found = added[name].load()
+    kind = check_artifact_class(found, where)
+    if kind.name != name:
+        raise BadConfig(f"{where}: the artifact must be called as its entry point, found {kind.name!r}")
+    return kind
 
 
 def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
@@ -63,14 +68,3 @@ def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
     if ARTIFACTS.get(found.name, found) is not found:  # by its name, a network's card would give the other one
         raise BadConfig(f"{where}: {found.name!r} is the name of another artifact, found {found.__name__}")
     return found
-
-
-@cache
-def _loaded(entry: metadata.EntryPoint) -> type[Artifact]:
-    where = f"entry point {entry.name} = {entry.value!r} of {ENTRY_POINT}"
-    with reported(f"{where} cannot be loaded", BadConfig, Exception):  # whatever the user's module raises
-        found = entry.load()
-    kind = check_artifact_class(found, where)
-    if kind.name != entry.name:
-        raise BadConfig(f"{where}: the artifact must be called as its entry point, found {kind.name!r}")
-    return kind
