@@ -8,6 +8,7 @@ releases if the process is killed.
 import contextlib
 import fcntl
 import hashlib
+import itertools
 import os
 import re
 import time
@@ -204,14 +205,10 @@ class CachedStore:
         self.remote, self._cache = remote, cache
         self.name, self.read_file, self.size = remote.name, remote.read_file, remote.size
         self._records = {record.name: record for record in records}
-        self.to_cache = set()  # names of the shards to keep whole
         self._spoiled: set[str] = set()
-        room = cache.limit
-        for record in self._records.values():
-            room -= record.size
-            if room < 0:
-                break
-            self.to_cache.add(record.name)
+        sizes = itertools.accumulate(record.size for record in self._records.values())
+        self.to_cache = {name for name, size in zip(self._records, sizes, strict=True) if size <= cache.limit}
+        """Names of the shards to keep whole."""
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         record = self._records[name]

@@ -293,11 +293,7 @@ class Piece:
         self._stems: list[str] = self._text["stems"]
         self._tails: list[str] = self._text["tails"]
         self._whole_keys = not self._stems
-        if self._whole_keys:
-            fits = len(self._tails) == count
-        else:
-            fits = tables >= 2 and [len(self._stems), len(self._tails)] == counts[:2]
-        if not fits:
+        if [len(self._stems), len(self._tails)] != ([0, count] if self._whole_keys else counts[:2]):
             raise BadShard(
                 f"{where}: 'stems' and 'tails' must be as many as rows of the first tables, or none and samples"
             )
