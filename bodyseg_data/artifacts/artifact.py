@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import Draws, check_fields
+from bodyseg_data.core import BadSample, Draws, check_fields
 from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, shape_of
@@ -71,6 +71,13 @@ class Scene:
         the draws of a pixel are then the same in every variant.
         """
         return np.flatnonzero(self.sample.range != 0)
+
+
+def check_image(what: str, array: Any, kind: type[np.generic], shape: tuple[int, int]) -> None:
+    """Raise BadSample, naming `what`, for anything but an array of this kind and shape: compiled loops check none."""
+    if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
+        found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise BadSample(f"{what} must be {kind.__name__} {shape} as in the rig, found {found}")
 
 
 class Artifact(Protocol):

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, check_image
 from bodyseg_data.core import BadSample, Draws
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import FARTHEST_STEPS, SHADOW_THRESHOLDS, Sample
@@ -139,9 +139,9 @@ class ShadowTest:
     def check(self, camera_range: Any, projector_range: Any, faces_projector: Any) -> None:
         """Raise BadSample for images of another kind or shape than the rig's."""
         camera, projector = self.rig.camera, self.rig.projector
-        _check("the camera range", camera_range, np.uint16, (camera.rows, camera.columns))
-        _check("the projector range", projector_range, np.uint16, (projector.rows, projector.columns))
-        _check("the facing bit", faces_projector, np.bool_, (camera.rows, camera.columns))
+        check_image("the camera range", camera_range, np.uint16, (camera.rows, camera.columns))
+        check_image("the projector range", projector_range, np.uint16, (projector.rows, projector.columns))
+        check_image("the facing bit", faces_projector, np.bool_, (camera.rows, camera.columns))
 
     def project(self, camera_range: Range, pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
         """Project foreground pixels, flat indices [N], into the projector's image.
@@ -240,9 +240,3 @@ def framed(projector_range: Range) -> Range:
     image[0, 1:-1], image[-1, 1:-1] = image[1, 1:-1], image[-2, 1:-1]
     image[:, 0], image[:, -1] = image[:, 1], image[:, -2]
     return image
-
-
-def _check(what: str, array: Any, kind: type[np.generic], shape: tuple[int, int]) -> None:
-    if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
-        found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-        raise BadSample(f"{what} must be {kind.__name__} {shape} for this rig's shadow test, found {found}")

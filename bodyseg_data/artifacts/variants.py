@@ -11,19 +11,19 @@ silhouette is that of `occ` and `md` together.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
+from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene, check_image
 from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import Sample, shape_of
+from bodyseg_data.samples import Sample
 
 _LOOPS: Final = "bodyseg_data.artifacts.fused_loops"
 
@@ -118,9 +118,13 @@ class Augmentation:
         rig, or for one that lacks the projector's range.
         """
         draws = Draws(self.seed, check_epoch(epoch), sample.key)
-        _check_sample(sample, self.rig)
-        _check_fit(sample, "the image", image, np.uint16)
-        _check_fit(sample, "the image of labels", labels, np.uint8)
+        shape = self.rig.camera.rows, self.rig.camera.columns
+        check_image(f"{sample.key}: range", sample.range, np.uint16, shape)
+        check_image(f"{sample.key}: labels", sample.labels, np.uint8, shape)
+        check_image(f"{sample.key}: the image", image, np.uint16, shape)
+        check_image(f"{sample.key}: the image of labels", labels, np.uint8, shape)
+        if not (image.flags.carray and labels.flags.carray):
+            raise BadSample(f"{sample.key}: images must be contiguous arrays that can be written to")
         drawn: dict[str, float] = {}
         for artifact in self.applied:
             with BadConfig.named(f"{sample.key}: artifact {artifact.name!r}"):
@@ -177,28 +181,3 @@ def _apart(sample: Sample, image: RangeImage) -> Sample:
     if not any(np.may_share_memory(a, b) for a, b in ((sample.range, image.range), (sample.labels, image.labels))):
         return sample
     return replace(sample, range=sample.range.copy(), labels=sample.labels.copy())
-
-
-def _check_sample(sample: Sample, rig: Rig) -> None:
-    """Raise BadSample unless there is a label for every range, and a range for every pixel of the rig's camera.
-
-    Compiled loops check no length.
-    """
-    ranges, labels, camera = sample.range, sample.labels, rig.camera
-    if ranges.dtype != np.uint16 or labels.dtype != np.uint8 or ranges.shape != labels.shape:
-        raise BadSample(
-            f"{sample.key}: range and labels must be uint16 and uint8 of one shape, "
-            f"found {ranges.dtype} {ranges.shape} and {labels.dtype} {labels.shape}"
-        )
-    if ranges.shape != (camera.rows, camera.columns):
-        raise BadSample(
-            f"{sample.key}: images must be {camera.rows} x {camera.columns}, as in the rig, found {shape_of(ranges)}"
-        )
-
-
-def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.generic]) -> None:
-    if array.dtype != kind or array.shape != sample.range.shape or not array.flags.carray:
-        raise BadSample(
-            f"{sample.key}: {what} must be a contiguous array of {kind.__name__} {sample.range.shape} "
-            f"that can be written to, found {array.dtype} {array.shape}"
-        )

@@ -98,7 +98,7 @@ def test_a_sample_that_lacks_what_the_second_projector_sees_is_refused() -> None
             augmentation(short)
     with pytest.raises(BadSample, match="the projector's range is needed"):
         augmentation(replace(both, projector_range=None))
-    with pytest.raises(BadSample, match=r"the projector range must be uint16 \(640, 329\) for this rig's shadow test"):
+    with pytest.raises(BadSample, match=r"the projector range must be uint16 \(640, 329\) as in the rig"):
         Augmentation(load_rig(), "occ")(both)
     second = both.faces_second
     assert second is not None

@@ -113,7 +113,7 @@ def test_a_maker_refuses_samples_of_another_set(decoded: bool, figures_set: Path
         return next(iter(raw.decode(decoder()) if decoded else raw))
 
     images, other = RangeImages(figures_set, "none"), first(GOLDEN / "format_7")
-    with pytest.raises(BadSample, match=f"{other['__key__']}: images must be 160 x 82, as in the rig, found "):
+    with pytest.raises(BadSample, match=f"{other['__key__']}: range must be uint16 .160, 82. as in the rig, found "):
         images.make(other)
     images.manifest = replace(images.manifest, classes=classes_of((LabelClass("floor"),), "rooms"))
     with pytest.raises(BadSample, match="open-A-A-2-d215-a000: labels must be 0 to 0, as in the set, found others"):
