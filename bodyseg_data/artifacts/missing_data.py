@@ -37,16 +37,13 @@ class MissingData(Artifact):
         if self.between is not None and self.rates != MissingData.rates:  # the default is stored with `between`
             raise BadConfig(f"missing data takes rates or between, not both, found {self.rates} and {self.between}")
 
-    def rate(self, chance: float) -> float:
-        """The share of pixels that one image loses. chance: a number drawn uniformly from 0 to below 1."""
-        if self.between is not None:
-            low, high = self.between
-            return low + (high - low) * chance
-        return self.rates[int(chance * len(self.rates))]
-
     def draw(self, draws: Draws) -> dict[str, float]:
         """As `Artifact.draw`: "missing_rate", the share of pixels lost."""
-        return {"missing_rate": self.rate(draws.chance("missing rate"))}
+        chance = draws.chance("missing rate")
+        if self.between is not None:
+            low, high = self.between
+            return {"missing_rate": low + (high - low) * chance}
+        return {"missing_rate": self.rates[int(chance * len(self.rates))]}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         pixels = scene.pixels

@@ -22,7 +22,7 @@ def lost(key: str, rate: float, count: int = SIDE * SIDE) -> NDArray[np.bool_]:
 
 
 def rates(settings: MissingData, count: int) -> list[float]:
-    return [settings.rate(Draws(0, 0, f"k{number}").chance("missing rate")) for number in range(count)]
+    return [settings.draw(Draws(0, 0, f"k{number}"))["missing_rate"] for number in range(count)]
 
 
 @pytest.mark.parametrize("rate", [0.0, 2**-17, 0.05, 1 / 3, 0.5, 1 - 2**-17, 1.0])
@@ -85,10 +85,11 @@ def test_rates_are_0_5_and_50_percent_by_default_each_as_likely() -> None:
     assert stats.chisquare(counts).pvalue > 1e-5
 
 
-def test_other_rates_are_drawn_evenly_too() -> None:
+def test_other_rates_are_drawn_evenly_too(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = rates(MissingData(rates=tuple(number / 7 for number in range(7))), 7_000)
     assert stats.chisquare([drawn.count(number / 7) for number in range(7)]).pvalue > 1e-5
-    assert MissingData(rates=(0.1, 0.2)).rate(1 - 2**-53) == 0.2
+    monkeypatch.setattr(Draws, "chance", lambda *_: 1 - 2**-53)
+    assert MissingData(rates=(0.1, 0.2)).draw(Draws(0, 0, "k")) == {"missing_rate": 0.2}
 
 
 def test_rates_from_a_range_are_one_setting_away() -> None:
