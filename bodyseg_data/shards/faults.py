@@ -4,7 +4,6 @@ import hashlib
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import ShardRecord, check_bytes, location
 from bodyseg_data.shards.remote import Unreachable
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
-from bodyseg_data.shards.store import Store, open_file, store_at
+from bodyseg_data.shards.store import Store, open_file
 from bodyseg_data.shards.tar import check_sizes, decode_piece, parse_members
 
 
@@ -34,14 +33,14 @@ class Fault:
         return f"{self.shard}: {self.key}: offset {self.offset}: {self.problem}"
 
 
-def find_index_faults(where: Path | Store, manifest: Manifest) -> Iterator[Fault]:
+def find_index_faults(store: Store, manifest: Manifest) -> Iterator[Fault]:
     """Find all faults of a set's index, if it has one: in its size, in every piece, in its hash, and keys used twice.
 
     A fault inside a piece is reported with the name of its shard as key.
     """
     if not isinstance(manifest.shards, IndexedShards):
         return
-    store, table = store_at(where), manifest.shards.table
+    table = manifest.shards.table
     try:
         with open_file(store, table.name) as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()
@@ -85,9 +84,8 @@ def _repeated_keys(manifest: Manifest, digests: NDArray[np.uint64]) -> Iterator[
                 seen.add(key)
 
 
-def find_column_faults(where: Path | Store, manifest: Manifest) -> Iterator[str]:
+def find_column_faults(store: Store, manifest: Manifest) -> Iterator[str]:
     """Find all faults of a set's columns, one line each: of their list, their manifests, and their tars."""
-    store = store_at(where)
     try:
         names = column_names(store)
     except BadShard as error:
@@ -103,9 +101,7 @@ def find_column_faults(where: Path | Store, manifest: Manifest) -> Iterator[str]
             yield from map(str, find_faults(store, column, shard, is_column=True))
 
 
-def find_faults(
-    where: Path | Store, manifest: Manifest, shard: ShardRecord, is_column: bool = False
-) -> Iterator[Fault]:
+def find_faults(store: Store, manifest: Manifest, shard: ShardRecord, is_column: bool = False) -> Iterator[Fault]:
     """Find all faults of one shard: in its size, in every sample's bytes and content, in its hash.
 
     is_column: the manifest is that of a column, whose samples hold one plane or one field.
@@ -117,8 +113,7 @@ def find_faults(
     except BadShard as error:
         yield Fault(shard.name, "-", 0, f"its samples are not known: {error}")
         return
-    store, sha256 = store_at(where), hashlib.sha256()
-    sound = True
+    sha256, sound = hashlib.sha256(), True
     end = size = 0
     try:
         with open_file(store, shard.name) as file:

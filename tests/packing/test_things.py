@@ -24,7 +24,7 @@ from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, neare
 from bodyseg_data.rendering import RasterRenderer, Surface
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, View
-from bodyseg_data.shards import encode_sample, find_faults, read_manifest
+from bodyseg_data.shards import LocalFolder, encode_sample, find_faults, read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_model.networks import build
 from bodyseg_model.training.loss import NetworkWithLoss
@@ -166,7 +166,7 @@ def among_things(pack_figures: Callable[..., Path], tmp_path_factory: pytest.Tem
 
 def test_a_set_with_things_is_streamed_in_every_variant(among_things: Path) -> None:
     manifest = read_manifest(among_things)
-    assert not [fault for shard in manifest.shards for fault in find_faults(among_things, manifest, shard)]
+    assert not [fault for shard in manifest.shards for fault in find_faults(LocalFolder(among_things), manifest, shard)]
     clean = RangeImages(among_things, "none")
     for variant in VARIANTS:
         images = RangeImages(among_things, variant)

@@ -21,7 +21,16 @@ from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_data.loading import RangeImages, loader
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import ViewGrid
-from bodyseg_data.shards import CODECS, CodecName, Manifest, ShardReader, find_faults, read_manifest, write_manifest
+from bodyseg_data.shards import (
+    CODECS,
+    CodecName,
+    LocalFolder,
+    Manifest,
+    ShardReader,
+    find_faults,
+    read_manifest,
+    write_manifest,
+)
 
 VIEWS = ViewGrid(span_deg=360, count=3)
 
@@ -135,11 +144,13 @@ def test_a_set_that_claims_another_number_of_projectors_is_refused(
     )
     with pytest.raises(BadShard, match=size.format(ROWS, both)):
         ShardReader(tmp_path / "fewer", fewer).read(0, 0)
-    faults = [fault.problem for shard in fewer.shards for fault in find_faults(tmp_path / "fewer", fewer, shard)]
+    store = LocalFolder(tmp_path / "fewer")
+    faults = [fault.problem for shard in fewer.shards for fault in find_faults(store, fewer, shard)]
     assert faults == ["the rig has fewer projectors than the facing bits tell of"] * 6
     single = pack_figures(tmp_path / "single", meshes=2, views=VIEWS, rig=SMALL)
     more = claimed(single, two_projectors(), tmp_path / "more")
     with pytest.raises(BadShard, match=size.format(both, ROWS)):
         ShardReader(tmp_path / "more", more).read(0, 0)
-    problems = [fault.problem for shard in more.shards for fault in find_faults(tmp_path / "more", more, shard)]
+    store = LocalFolder(tmp_path / "more")
+    problems = [fault.problem for shard in more.shards for fault in find_faults(store, more, shard)]
     assert problems == [f"projector_range must be {both} x {COLUMNS} as in the rig, found ({ROWS}, {COLUMNS})"] * 6

@@ -22,6 +22,7 @@ from bodyseg_data.core import BadSample, BadShard
 from bodyseg_data.shards import (
     BODY_FIELDS,
     MANIFEST_NAME,
+    LocalFolder,
     ShardReader,
     TarWriter,
     encode_sample,
@@ -107,7 +108,7 @@ def test_a_shard_cut_at_any_block_is_reported(copy: Path) -> None:
     assert len(whole) == shard.size
     for length in range(0, len(whole), 512):
         path.write_bytes(whole[:length])
-        faults = list(find_faults(copy, manifest, shard))
+        faults = list(find_faults(LocalFolder(copy), manifest, shard))
         hurt = [
             key
             for key, start, size in zip(shard.keys, shard.offsets, shard.lengths, strict=True)
@@ -131,7 +132,7 @@ def test_one_flipped_byte_anywhere_is_reported_at_its_sample(copy: Path) -> None
         spoiled = bytearray(whole)
         spoiled[place] ^= 1 << int(generator.integers(8))
         path.write_bytes(spoiled)
-        faults = list(find_faults(copy, manifest, shard))
+        faults = list(find_faults(LocalFolder(copy), manifest, shard))
         assert len(faults) == 1, place
         if place < end:
             index = int(np.searchsorted(shard.offsets, place, side="right")) - 1
@@ -418,7 +419,7 @@ def test_content_that_breaks_the_format_is_a_fault_though_its_checksums_are_righ
     with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write(GOOD.key, encode_sample(replace(GOOD, **change), "png"))  # which stores anything
     manifest = replace(read_manifest(figures_set), shards=(writer.record,))
-    (fault,) = find_faults(tmp_path, manifest, writer.record)
+    (fault,) = find_faults(LocalFolder(tmp_path), manifest, writer.record)
     assert (fault.key, fault.offset, fault.problem) == (GOOD.key, 0, problem)
 
 
@@ -451,7 +452,7 @@ def test_a_pipe_in_place_of_a_shard_keeps_nobody_waiting(copy: Path, capsys: pyt
 def test_a_sample_stored_in_the_wrong_split_is_a_fault(copy: Path) -> None:
     manifest = read_manifest(copy)
     shard = manifest.shards[0]
-    faults = list(find_faults(copy, manifest, replace(shard, split="test")))
+    faults = list(find_faults(LocalFolder(copy), manifest, replace(shard, split="test")))
     assert [fault.problem for fault in faults] == ["belongs to train, stored among test"] * len(shard)
 
 
@@ -467,7 +468,7 @@ def test_samples_that_hold_other_images_than_the_set_says_are_faults(
 ) -> None:
     manifest = replace(read_manifest(figures_set), **changes)
     shard = manifest.shards[0]
-    assert [fault.problem for fault in find_faults(figures_set, manifest, shard)] == [problem] * len(shard)
+    assert [fault.problem for fault in find_faults(LocalFolder(figures_set), manifest, shard)] == [problem] * len(shard)
 
 
 def test_the_manifest_describes_every_sample_as_it_describes_itself(figures_set: Path) -> None:

@@ -16,7 +16,7 @@ from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_b
 from bodyseg_data.core import BadShard
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.samples import ViewGrid
-from bodyseg_data.shards import MANIFEST_NAME, find_faults, write_manifest
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, find_faults, write_manifest
 from bodyseg_data.shards.tar import parse_members
 
 
@@ -101,5 +101,5 @@ def test_tricks_in_a_tar_are_refused_by_all_readers_though_all_checksums_are_rig
     for read in (lambda: images[0], lambda: next(iter(images.webdataset()))):
         with pytest.raises(BadShard, match=where.replace("+", r"\+")):
             read()
-    (fault,) = find_faults(folder, manifest, forged)
+    (fault,) = find_faults(LocalFolder(folder), manifest, forged)
     assert (fault.key, fault.offset) == (record.keys[0], 0)

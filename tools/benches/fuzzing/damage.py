@@ -19,7 +19,7 @@ from numpy.random import Generator
 from benches.fuzzing.hostile import one_of
 from bodyseg_data.core import BadShard, BodysegError
 from bodyseg_data.loading import RangeImages
-from bodyseg_data.shards import MANIFEST_NAME, ShardRecord, find_faults, read_manifest
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, ShardRecord, find_faults, read_manifest
 
 BLOCK: Final = 512
 
@@ -70,7 +70,8 @@ class Damaged:
         """Verify the damaged set as `bodyseg verify` does."""
         try:
             manifest = read_manifest(self.folder)
-            faults = [fault for shard in manifest.shards for fault in find_faults(self.folder, manifest, shard)]
+            store = LocalFolder(self.folder)
+            faults = [fault for shard in manifest.shards for fault in find_faults(store, manifest, shard)]
         except BadShard:
             tally.reported_by_verify += 1
             return
