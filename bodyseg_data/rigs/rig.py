@@ -155,10 +155,6 @@ class Sensor:
     rig: Rig | None
     assumed_for_size: bool
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-        _check_name(self.name)
-
 
 def rig_names() -> tuple[str, ...]:
     """Names of the rig files that ship with the package, in alphabetical order."""
@@ -192,6 +188,7 @@ def parse_sensor(text: str, where: str) -> Sensor:
     lighting = _lighting(table) if is_rig else {}
     table.finish()
     with reported(f"rig {where}", BadConfig):
+        _check_name(name)
         found = Sensor(name, title, camera, Rig(name=name, camera=camera, **lighting) if is_rig else None, assumed)
     for key, device in {"camera": camera, **lighting}.items():
         if isinstance(device, Camera):
