@@ -1,6 +1,6 @@
 """The protocol of an artifact: strengths that are set, draws for one image, and an alteration in NumPy.
 
-A new artifact is one file in this folder and one line of the registry (`bodyseg_data/artifacts/registry.py`), or a
+A new artifact is one file in this folder and one entry of the registry (`bodyseg_data/artifacts/registry.py`), or a
 class in a package of yours with an entry point `bodyseg.artifacts`, or an object in a `SensorModel`:
 
     @dataclass(frozen=True)

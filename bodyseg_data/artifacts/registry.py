@@ -1,4 +1,4 @@
-"""Artifacts of range sensors in clean range images. A new one is a file in this folder and a line below.
+"""Artifacts of range sensors in clean range images. A new one is a file in this folder and an entry below.
 
 Packages of users add theirs by the entry point `bodyseg.artifacts`: name -> class.
 """
@@ -18,14 +18,7 @@ from bodyseg_data.artifacts.phase_shift import PhaseShift
 from bodyseg_data.core import BadConfig, check_choice, reported
 
 ARTIFACTS: Final[dict[str, type[Artifact]]] = {
-    "occlusion": Occlusion,
-    "noise": Noise,
-    "missing_data": MissingData,
-    "losses": Losses,
-    "mixed_pixels": MixedPixels,
-    "patch_loss": PatchLoss,
-    "stripe_loss": StripeLoss,
-    "phase_shift": PhaseShift,
+    kind.name: kind for kind in (Occlusion, Noise, MissingData, Losses, MixedPixels, PatchLoss, StripeLoss, PhaseShift)
 }
 """Name -> class of the artifacts that ship with this package; the first three are those of the paper's Table 1."""
 
