@@ -313,6 +313,8 @@ class BatchOrder(Sampler[list[Request]]):
                 f"{len(images)} samples are too few: they do not fill one batch of {self.batch_size}{each}, and what "
                 "does not is left out (drop_last=True); use a smaller batch_size"
             )
+        self.largest = min(self.batch_size, -(-len(images) // self.world_size))
+        """Size of the largest batch that one rank can get, in samples."""
         self._next = (images.epoch, 0)
         self._reached: tuple[int, int] | None = None
         self._epochs_set = images.epochs_set
@@ -330,11 +332,6 @@ class BatchOrder(Sampler[list[Request]]):
     def __len__(self) -> int:
         """Number of batches in a whole pass, the same for every rank."""
         return len(self._bounds(0)) - 1
-
-    @property
-    def largest(self) -> int:
-        """Size of the largest batch that one rank can get, in samples."""
-        return min(self.batch_size, -(-len(self.images) // self.world_size))
 
     @property
     def epoch(self) -> int:

@@ -141,21 +141,18 @@ class SetStream:
 
     def __init__(self, images: RangeImages, sample_weights: ArrayLike | None = None) -> None:
         self.images = images
-        self._units = None if sample_weights is None else _checked_units(sample_weights, images)
+        self._units: NDArray[np.int64] | None = None
+        self.digest: str | None = None
+        """Digest of the sample weights, up to a common factor; None without any."""
         self._occurrences = 1  # of a sample in one pass, at most
-        if self._units is not None:
+        if sample_weights is not None:
+            self._units = _checked_units(sample_weights, images)
+            self.digest = hashlib.blake2b(self._units.astype("<i8").tobytes(), digest_size=16).hexdigest()
             self._occurrences = -(-len(images) * int(self._units.max()) // int(self._units.sum()))
         self._held: tuple[int, Shuffle, Requests] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_held": None}  # a spawned worker makes no order
-
-    @property
-    def digest(self) -> str | None:
-        """Digest of the sample weights, up to a common factor; None without any."""
-        if self._units is None:
-            return None
-        return hashlib.blake2b(self._units.astype("<i8").tobytes(), digest_size=16).hexdigest()
 
     def take(self, start: int, count: int, shuffle: Shuffle) -> Requests:
         """Return `count` samples from position `start` of the sequence. shuffle: False for stored order in a pass."""

@@ -40,14 +40,9 @@ class SkipLedger:
     """Counts and records skipped samples. budget: None skips nothing; else the most samples that one epoch may lose."""
 
     def __init__(self, budget: int | None) -> None:
-        self._budget = budget
+        self._budget, self.strict = budget, budget is None  # strict: no sample may be skipped
         self.skipped: list[Skipped] = []
         self._lost: defaultdict[int, set[tuple[str, str]]] = defaultdict(set)  # shards and keys by epoch
-
-    @property
-    def strict(self) -> bool:
-        """True if no sample may be skipped."""
-        return self._budget is None
 
     def add(self, record: Skipped, error: Exception) -> None:
         """Record one more sample. Raises `error` if nothing may be skipped, BadShard beyond the budget."""
