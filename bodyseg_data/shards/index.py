@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,11 @@ class IndexedShards(Sequence[ShardRecord]):
     def __len__(self) -> int:
         return len(self.table)
 
-    def __getitem__(self, index: Any) -> Any:  # a record, or those of a slice
+    @overload
+    def __getitem__(self, index: int) -> ShardRecord: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[ShardRecord]: ...
+    def __getitem__(self, index: int | slice) -> ShardRecord | Sequence[ShardRecord]:
         if isinstance(index, slice):
             return tuple(_IndexedShard(self, number) for number in range(len(self))[index])
         return _IndexedShard(self, range(len(self))[index])
