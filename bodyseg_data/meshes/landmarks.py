@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadLandmarks, check_choice, reported
 from bodyseg_data.files import Table, parse_json
-from bodyseg_data.labels import LANDMARKS, PART_COUNT
+from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.coincident import separate
 from bodyseg_data.meshes.mending import welded
@@ -154,25 +154,13 @@ class SnappedLandmarks:
 class PointLandmarks:
     """The landmarks of one body in space. source: file they were read from, for messages.
 
-    points: float64 [33, 3] in the order of `LANDMARKS`, metres, in the frame of the file they came from, which is
-    not always that of the mesh (`transformed`). ignored: other names in the file. Raises BadLandmarks unless they are
-    33 finite points.
+    points: float64 [33, 3] in the order of `LANDMARKS`, metres, finite, in the frame of the file they came from, which
+    is not always that of the mesh (`transformed`). ignored: other names in the file.
     """
 
     source: str
     points: Floats
     ignored: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        points: Floats = np.array(self.points, np.float64)
-        if points.shape != (PART_COUNT, 3):
-            raise BadLandmarks(f"landmarks {self.source}: there must be {PART_COUNT} points, found {points.shape}")
-        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-        if len(bad):
-            found = points[bad[0]].tolist()
-            raise BadLandmarks(f"landmarks {self.source}: {LANDMARKS[bad[0]]!r} must be finite, found {found}")
-        points.flags.writeable = False
-        object.__setattr__(self, "points", points)
 
     def transformed(self, scale: float, rotation: Floats) -> PointLandmarks:
         """The same landmarks, scaled and then rotated by `rotation` [3, 3], as the mesh was to reach the body frame."""
