@@ -155,25 +155,28 @@ class MeshBodies(ListedBodies[MeshFile]):
         missing or do not fit; BadConfig for a body of another source.
         """
         landmarks, file = self._landmarks(body), self.entry(body)
-        vertices, faces, alignment = self._placed(body, landmarks)
-        if isinstance(landmarks, LandmarkSet):
-            mesh = _mesh(body.mesh, vertices, faces, file.path)
-            found = landmarks.for_mesh(mesh)
-            where = f"landmarks {landmarks.source} on mesh {mesh.name}"
-            found, moved = separate(mesh, found, mesh.vertices[found], where)
-            return Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
-        landmarks = landmarks.transformed(1.0, alignment.rotation)
-        return _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
+        vertices, faces, alignment = self._placed(file, landmarks)
+        if isinstance(landmarks, PointLandmarks):
+            turned = landmarks.transformed(1.0, alignment.rotation)
+            turned, unit_notes = _in_millimetres(turned, _used((vertices, faces)))
+            check_body(vertices, faces, turned.points, str(file.path))
+            return _snapped((vertices, faces), body.mesh, file.path, turned, unit_notes, self._options.pymeshlab)
+        landmarks.check_counts(len(vertices), len(faces), str(file.path))
+        check_body(vertices, faces, vertices[list(landmarks.vertices)], str(file.path))
+        mesh = _mesh(body.mesh, vertices, faces, file.path)
+        found = landmarks.for_mesh(mesh)
+        where = f"landmarks {landmarks.source} on mesh {mesh.name}"
+        found, moved = separate(mesh, found, mesh.vertices[found], where)
+        return Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
 
     def check(self, body: BodyRef) -> None:
         """Build one body, which takes far less than its partition and its views. Raises the errors of `build`."""
         self.build(body)
 
     def _placed(
-        self, body: BodyRef, landmarks: LandmarkSet | PointLandmarks
+        self, file: MeshFile, landmarks: LandmarkSet | PointLandmarks
     ) -> tuple[NDArray[np.float64], NDArray[np.int32], Alignment]:
         """A body's vertices [N, 3] in the body frame, its faces [F, 3], and their alignment. Raises BadMesh."""
-        file = self.entry(body)
         surface = read_mesh(file.path)
         if file.group is None:
             alignment = self._alignment_of(landmarks, surface, file)
@@ -182,15 +185,7 @@ class MeshBodies(ListedBodies[MeshFile]):
             unit: Any = next(unit for unit, metres in METRES.items() if metres == alignment.scale)
             where = f"{file.path}, in the unit of {decided_by}" if self._options.units == "auto" else str(file.path)
             metres_a_unit(_used(surface), unit, where)
-        vertices = alignment.apply(surface[0])
-        if isinstance(landmarks, LandmarkSet):
-            landmarks.check_counts(len(vertices), len(surface[1]), str(file.path))
-            points = vertices[list(landmarks.vertices)]
-        else:
-            turned = landmarks.transformed(1.0, alignment.rotation)
-            points = _in_millimetres(turned, _used((vertices, surface[1])))[0].points
-        check_body(vertices, surface[1], points, str(file.path))
-        return vertices, surface[1], alignment
+        return alignment.apply(surface[0]), surface[1], alignment
 
     def _landmarks(self, body: BodyRef) -> LandmarkSet | PointLandmarks:
         """Return a body's landmarks; by vertex whenever other bodies share them."""
@@ -234,19 +229,19 @@ class MeshBodies(ListedBodies[MeshFile]):
             members = [body for body, file in self._entries.items() if file.group == group]
             count = min(len(members), _MOST_TRIED)
             found: list[tuple[Alignment, Path]] = []
-            problem: BadMesh | BadLandmarks | None = None
+            problems: list[BadMesh | BadLandmarks] = []
             for index in range(count):
                 body = members[index * len(members) // count]
                 file = self._entries[body]
                 try:
                     found.append((self._alignment_of(self._landmarks(body), read_mesh(file.path), file), file.path))
                 except (BadMesh, BadLandmarks) as error:
-                    problem = problem or error
+                    problems.append(error)
                     continue
                 if found[-1][0].lean_deg <= UPRIGHT_DEG:
                     break
             if not found:
-                raise problem or BadMesh(f"no mesh of {group} can be placed")
+                raise problems[0]
             self._alignments[group] = min(found, key=lambda entry: entry[0].lean_deg)
         return self._alignments[group]
 
@@ -272,7 +267,9 @@ def _mesh(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], pa
         raise BadMesh(f"{error} (read from {path}{remedy})") from error
 
 
-def _snapped(surface: Surface, name: str, path: Path, landmarks: PointLandmarks, pymeshlab: bool) -> Body:
+def _snapped(
+    surface: Surface, name: str, path: Path, landmarks: PointLandmarks, unit_notes: Sequence[str], pymeshlab: bool
+) -> Body:
     """Make a body with landmarks by coordinate. pymeshlab: repair the mesh if need be, which may renumber vertices."""
     notes = []
     try:
@@ -282,7 +279,6 @@ def _snapped(surface: Surface, name: str, path: Path, landmarks: PointLandmarks,
             raise
         notes.append(f"repaired: {str(error.__cause__).removeprefix(f'mesh {name}: ')}")
         mesh = _mesh(name, *repair(name, *surface), path)
-    landmarks, unit_notes = _in_millimetres(landmarks, mesh.surface_vertices)
     snapped = landmarks.for_mesh(mesh)
     notes += [*unit_notes, *snapped.notes, _farthest(snapped.distance_m), *_ignored(landmarks)]
     return Body(mesh, snapped.vertices, tuple(notes))
