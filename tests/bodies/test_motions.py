@@ -240,7 +240,7 @@ def test_a_sole_turns_over_ball_and_heel() -> None:
             np.linalg.norm(pivot)
         )
         assert ankle[1] > -BUILD_B.ball[1]
-    assert Sole(0.1, 0.2, 0, 0, 0.3).ankle(BUILD_B).tolist() == [0.1, 0.3 - BUILD_B.ball[1], 0.2]
+    assert Sole(0.1, 0.2).ankle(BUILD_B).tolist() == [0.1, -BUILD_B.ball[1], 0.2]
 
 
 def test_a_standing_pelvis_is_as_high_as_the_legs() -> None:

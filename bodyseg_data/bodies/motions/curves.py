@@ -118,14 +118,12 @@ class Sole:
     """Position of a foot. x, z: of its ankle when the sole is flat, metres. yaw: toes to the left, degrees.
 
     pitch: toes pointed down, degrees, turning about the ball of the foot; toes up, negative, about the heel.
-    height: of the point it turns about, metres.
     """
 
     x: float
     z: float
     yaw: float = 0
     pitch: float = 0
-    height: float = 0
 
     def mirrored(self) -> Sole:
         return replace(self, x=-self.x, yaw=-self.yaw)
@@ -134,7 +132,7 @@ class Sole:
         """Return the position of the ankle, [3], metres."""
         pivot = np.array(build.ball if self.pitch > 0 else build.heel)
         raised = pivot - about_x(self.pitch) @ pivot
-        ankle: Vector = [self.x, self.height - build.ball[1], self.z] + about_y(self.yaw) @ raised
+        ankle: Vector = [self.x, -build.ball[1], self.z] + about_y(self.yaw) @ raised
         return ankle
 
 
