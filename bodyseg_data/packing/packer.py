@@ -167,10 +167,9 @@ def pack(
             return executor.submit(render_run, packing, body, views, digest)
 
         with writing_into(out), claimed(out, description, digest) as state:
-            late = stored_skips(out, state, faulty)
-            skips.add(late)
-            record_skips(state, late)
+            skips.add(stored_skips(out, state, faulty))
             while True:
+                record_skips(state, {mesh: why for mesh, why in skips.reasons.items() if mesh not in faulty})
                 shards = cut(packing, [body for body in bodies if body.mesh not in skips.reasons])
                 found, records = write_shards(packing, shards, (out, state), render, workers, progress)
                 if found is None:
@@ -181,8 +180,6 @@ def pack(
                 skips.add({body.mesh: str(error)})
                 for shard in cut_again(shards, body):
                     forget_shard(out, state, files_of(packing, shard.name))
-                late[body.mesh] = skips.reasons[body.mesh]
-                record_skips(state, late)
             manifest = Manifest(
                 rigs=(packing.rig,),
                 codec=packing.codec,
