@@ -136,20 +136,20 @@ def region_labels(label_map: LabelMap) -> NDArray[np.uint8]:
     where = f"labels {label_map.name!r}"
     if on is None:
         raise BadConfig(f"{where} join classes of a set, not regions of the template")
-    found = np.full(NOWHERE + 1, UNLABELLED, np.uint8)
     if on.kind == PARTS33.name:
-        found[: len(template.parts)] = template.parts
+        found = template.parts
     elif on.kind == "bones":
-        found[: len(template.bones)] = _of_bones(names, template, where)
+        found = _of_bones(names, template, where)
     elif on.kind == "landmarks":
-        found[: len(template.points)] = _nearest_landmark(on.numbers, names, template, where)
+        found = _nearest_landmark(on.numbers, names, template, where)
     else:
         numbers = _numbers(on.kind, template, where)
+        found = np.full(len(numbers), UNLABELLED, np.uint8)
         for label, number in enumerate(on.numbers):
             if not (numbers == number).any():
                 raise BadConfig(f"{where}: {on.kind} must hold the number of {names[label]!r}, no {number} is there")
-            found[: len(numbers)][numbers == number] = label
-    return found
+            found[numbers == number] = label
+    return np.pad(found, (0, NOWHERE + 1 - len(found)), constant_values=UNLABELLED)
 
 
 def _of_bones(patterns: Sequence[str], template: Template, where: str) -> NDArray[np.uint8]:

@@ -28,15 +28,14 @@ def run(options: Options) -> int:
     except BadShard as error:
         sys.stdout.write(f"{error}\n")
         return 1
-    faults = 0
+    faulty = False
     for fault in _faults(store, manifest):
         sys.stdout.write(f"{fault}\n")
-        faults += 1
-    if faults and manifest.index is not None:
-        return 1  # notes are in the index, which may be what is damaged
-    for note in manifest.notes():
-        sys.stdout.write(f"note: {note}\n")
-    if faults:
+        faulty = True
+    if not faulty or manifest.index is None:  # else the index, which has the notes, may be what is damaged
+        for note in manifest.notes():
+            sys.stdout.write(f"note: {note}\n")
+    if faulty:
         return 1
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(f"{store.name}: {manifest.counts}, {size / 1e6:.1f} MB: no fault\n")
