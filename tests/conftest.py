@@ -17,7 +17,7 @@ import hypothesis
 import pytest
 import shared_anny  # noqa: F401  # before anything imports what loads the body model
 import shared_distances  # noqa: F401
-from fakes import FiguresEntry
+from fakes import Figures
 from folders import SHARED_DATA, TESTS
 from kernel_forms import FORMS, computed_by
 from small_rig import SMALL
@@ -244,7 +244,7 @@ def pack_figures() -> Callable[..., Path]:
     def pack_into(out: Path, executor: Executor | None = None, **options: Any) -> Path:
         wanted = {"views": ViewGrid(span_deg=360, count=4), "rig": SMALL, **options}
         with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
-            patch.setitem(SOURCES, "open", FiguresEntry())
+            patch.setitem(SOURCES, "open", Figures)
             pack(Packing("open", **wanted), out, executor or thread, 1)
         return out
 

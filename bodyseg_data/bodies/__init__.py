@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
     from bodyseg_data.bodies.skeleton import RigidMotion, about, from_rotation_vector
     from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed, shortened
-    from bodyseg_data.bodies.sources import SOURCES, SourceEntry, check_source, open_source
+    from bodyseg_data.bodies.sources import SOURCES, check_source, open_source
     from bodyseg_data.bodies.template import load_template, region_labels
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, collapsed, open_source
+from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, Units, UpAxis, collapsed, open_source
 from bodyseg_data.core import BadConfig, BadSample, bounded, check_fields, reported
 from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.meshes import GeodesicMethod
@@ -118,8 +118,8 @@ def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef
 
 
 @lru_cache(maxsize=4)
-def _source(entry: SourceEntry | None, name: str, units: Units, up: UpAxis) -> BodySource:
-    """Open a source once a process, as a body model takes seconds to load, and anew if `entry`, its class, changes."""
+def _source(home: object, name: str, units: Units, up: UpAxis) -> BodySource:
+    """Open a source once a process, as a body model takes seconds to load, and anew if `home`, its class, changes."""
     return open_source(name, None, None, units, up)
 
 

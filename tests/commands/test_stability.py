@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch
-from fakes import FiguresEntry
+from fakes import Figures
 from label_networks import Places
 from pictures import decoded, marks, part
 
@@ -38,7 +38,7 @@ def plain_bodies_and_one_thread() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(SOURCES, "open", FiguresEntry())
+        patch.setitem(SOURCES, "open", Figures)
         yield
     torch.set_num_threads(before)
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from fakes import FiguresEntry
+from fakes import Figures
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
@@ -74,7 +74,7 @@ def test_training_on_a_part_of_a_set_says_so_in_the_card(figures_set: Path, tmp_
 def test_stability_on_a_part_of_a_set(
     figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
     out = tmp_path / "stability"
     words = ["stability", "--run", str(run_folder), "--data", str(figures_set), "--out", str(out)]
     words += ["--sweeps", "farther", "--images", "1", "--device", "cpu"]

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 from shapes import figure
 
-from bodyseg_data.bodies import SOURCES, Body, BodyRef, BodySource, SourceEntry
+from bodyseg_data.bodies import SOURCES, Body, BodyRef
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.meshes import Mesh
 
@@ -54,17 +53,6 @@ class Figures:
         return replace(built, mesh=Mesh(body.mesh, vertices, built.mesh.faces))
 
 
-@dataclass(frozen=True)
-class FiguresEntry(SourceEntry):
-    """Stands in `SOURCES`, under a name that readers of a set accept, for a source that `make` makes."""
-
-    home: str = "fakes.Figures"
-    make: Callable[[], BodySource] = Figures
-
-    def open(self, *arguments: Any) -> BodySource:
-        return self.make()
-
-
 def figures_are_open() -> None:
     """Let this process, one for this alone, take the figures for the source "open"."""
-    SOURCES["open"] = FiguresEntry()
+    SOURCES["open"] = Figures

@@ -11,7 +11,7 @@ import os
 import time
 from pathlib import Path
 
-from fakes import Figures, FiguresEntry
+from fakes import Figures
 
 from bodyseg_data.bodies import SOURCES, Body, BodyRef
 from bodyseg_data.core import BadMesh
@@ -32,4 +32,4 @@ class TroubledFigures(Figures):
         return super().build(body)
 
 
-SOURCES["open"] = FiguresEntry(make=TroubledFigures)
+SOURCES["open"] = TroubledFigures

@@ -55,7 +55,7 @@ _WITHOUT_REMEDY = "pymeshlab_thread._worker.call = lambda job: job()\n"
 _IN_THREADS = """
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from fakes import FiguresEntry
+from fakes import Figures
 from small_rig import SMALL
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.samples import ViewGrid
@@ -63,7 +63,7 @@ from bodyseg_data.packing.mesh_reduction import edges_collapsed
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing import pack
 
-SOURCES["open"] = FiguresEntry()
+SOURCES["open"] = Figures
 wanted = Packing("open", meshes=2, views=ViewGrid(count=1), rig=SMALL, tolerance_mm=1.0)
 with ThreadPoolExecutor(2) as threads:
     pack(wanted, Path({out!r}), threads, 2)

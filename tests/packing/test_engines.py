@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from fakes import Figures, FiguresEntry
+from fakes import Figures
 from folders import HELPERS, ROOT
 from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
 from servers import free_port
@@ -210,7 +210,7 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
 @pytest.fixture(autouse=True)
 def figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """This process packs figures, too."""
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
 
 
 def pack_on(nodes: Nodes, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Engine:
@@ -291,7 +291,14 @@ def test_workers_that_would_give_other_bytes_are_named(
         open_engine(nodes.engine, None, PACKING),
     ):
         pass
-    monkeypatch.setitem(SOURCES, "folder", FiguresEntry(reads="meshes"))
+
+    class Folder(Figures):
+        reads = "meshes"
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+    monkeypatch.setitem(SOURCES, "folder", Folder)
     here = workers.expected(Packing("folder", tmp_path))
     assert workers.fault(here) is None
     found_here = here.facts["bodies"]

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from fakes import Figures, FiguresEntry
+from fakes import Figures
 from people_on_disk import PERSON, VERTICES, write_by_point, write_by_vertex, write_lnd, write_mesh
 from small_rig import SMALL
 
@@ -196,7 +196,7 @@ def figures(monkeypatch: pytest.MonkeyPatch, known: dict[Any, Any]) -> Callable[
     def packed_figures(
         out: Path, kind: type[Figures], on_faults: OnFaults = SKIP, executor: Executor | None = None
     ) -> Manifest:
-        monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=kind))
+        monkeypatch.setitem(SOURCES, "open", kind)
         views = ViewGrid(span_deg=360, count=4)
         asked = Packing("open", views=views, rig=SMALL, shard_samples=3, geodesics="edges")
         with ThreadPoolExecutor(1) as thread:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import warm
-from fakes import Figures, FiguresEntry
+from fakes import Figures
 from folders import HELPERS
 from packings import Interrupted, Renders, contents
 from small_rig import SMALL_FILE
@@ -377,7 +377,7 @@ def test_a_rig_that_sees_nothing_is_told(
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(SMALL_FILE.read_text().replace(table, f"{table}\n{line}"))
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
     assert main([*FIGURES[1:-3], str(rig), "--meshes", "1", "--out", str(tmp_path / "out")]) == 0
     told = f"warning: the {seen_by} nothing in 4 images looked at: are the rig's" in capsys.readouterr().err
     assert told == bool(seen_by)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, Trouble, _forked, contents, left_over
-from fakes import FiguresEntry, figures_are_open
+from fakes import Figures, figures_are_open
 from folders import ROOT
 from small_rig import SMALL
 
@@ -39,7 +39,7 @@ def memory_folder() -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def interrupted(memory_folder: Path) -> Iterator[Interrupted]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(SOURCES, "open", FiguresEntry())
+        patch.setitem(SOURCES, "open", Figures)
         yield Interrupted(PACKING, memory_folder)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import Figures, FiguresEntry
+from fakes import Figures
 from shapes import figure
 
 from bodyseg_data import RangeImages, ShardWriter
@@ -43,7 +43,7 @@ def images(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathF
 
 @pytest.fixture
 def scenes(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> Scenes:
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
     return Scenes(images, 2, images)
 
 
@@ -66,7 +66,7 @@ def test_clean_scenes_are_the_stored_images(scenes: Scenes, images: RangeImages)
 def test_before_a_camera_that_is_mounted_turned_every_scene_is_turned(
     pack_figures: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
     shape, grid = {"rows": RIG.camera.columns, "columns": RIG.camera.rows}, ViewGrid(distances_cm=(250,), azimuths=1)
     lying = replace(RIG, camera=replace(RIG.camera, roll_deg=90.0, centre_px=RIG.camera.centre_px[::-1], **shape))
     upright, turned = (
@@ -108,7 +108,7 @@ def test_bodies_are_built_once_and_reported(images: RangeImages, monkeypatch: py
             built.append(body.mesh)
             return super().build(body)
 
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Counting))
+    monkeypatch.setitem(SOURCES, "open", Counting)
     seen: list[tuple[int, int]] = []
     scenes = Scenes(images, 8, progress=lambda *numbers: seen.append(numbers))
     scenes.labelled_images(SweepPoint("farther", 3.0))
@@ -226,7 +226,7 @@ def test_people_in_a_pose_are_built_once_and_seen_from_the_front(
             built.append(f"{body.subject} {pose}")
             return super().in_pose(body, pose)
 
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Counting))
+    monkeypatch.setitem(SOURCES, "open", Counting)
     scenes = Scenes(images, 8)
     clean, fist = (scenes.labelled_images(each) for each in (CLEAN["rendered"], SweepPoint("fist", 1)))
     for a, b in zip(clean, fist, strict=True):

@@ -3,7 +3,6 @@
 Packages of users add theirs by the entry point `bodyseg.sources`: name -> class.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from importlib import import_module, metadata
 from pathlib import Path
@@ -13,42 +12,23 @@ from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.source import BodySource, MeshOptions
 from bodyseg_data.core import BadConfig, check_choice, reported
 
-
-@dataclass(frozen=True)
-class SourceEntry:
-    """Class of a source; one of this folder as "module.Class", which is imported when the source is opened.
-
-    reads: content of the folder that `--path` must name; None for sources that make their bodies and read no files.
-    """
-
-    home: str | type[Any]
-    reads: str | None = None
-
-    def open(self, *arguments: Any) -> BodySource:
-        """Construct the source with `arguments`."""
-        kind: Any = self.home
-        if isinstance(kind, str):
-            module, name = kind.split(".")
-            kind = getattr(import_module(f"{__name__}.{module}"), name)
-        source: BodySource = kind(*arguments)
-        return source
-
-
-SOURCES: Final[dict[str, SourceEntry]] = {
-    "open": SourceEntry("open_bodies.OpenBodies"),
-    "bare": SourceEntry("open_bodies.BareBodies"),
-    "wide": SourceEntry("open_bodies.WideBodies"),
-    "everyday": SourceEntry("open_bodies.EverydayBodies"),
-    "candidates": SourceEntry("open_bodies.CandidateBodies"),
-    "hard": SourceEntry("hard.HardBodies"),
-    "scape": SourceEntry("paper.ScapeBodies", reads="mesh000.ply to mesh071.ply"),
-    "mit": SourceEntry("paper.MitBodies", reads="I_crane and the other sequences"),
-    "caesar": SourceEntry("paper.CaesarBodies", reads="one mesh and one .lnd file a subject"),
-    "folder": SourceEntry("folder.FolderBodies", reads="meshes and landmark files"),
-    "labelled": SourceEntry("labelled.LabelledScenes", reads="meshes with labels of their own, or scene files"),
-    "paper": SourceEntry("paper.PaperBodies", reads="scape, mit and caesar"),
+SOURCES: Final[dict[str, Any]] = {
+    "open": "open_bodies.OpenBodies",
+    "bare": "open_bodies.BareBodies",
+    "wide": "open_bodies.WideBodies",
+    "everyday": "open_bodies.EverydayBodies",
+    "candidates": "open_bodies.CandidateBodies",
+    "hard": "hard.HardBodies",
+    "scape": "paper.ScapeBodies",
+    "mit": "paper.MitBodies",
+    "caesar": "paper.CaesarBodies",
+    "folder": "folder.FolderBodies",
+    "labelled": "labelled.LabelledScenes",
+    "paper": "paper.PaperBodies",
 }
-"""Name -> class. The order is that of messages and of `--help`."""
+"""Name -> class; those of this folder as "module.Class", imported when opened. The order is that of messages and
+of `--help`.
+"""
 
 
 ENTRY_POINT: Final = "bodyseg.sources"
@@ -63,8 +43,17 @@ def check_source(name: str, *others: str) -> str:
     return check_choice("the source", name, dict.fromkeys((*SOURCES, *added, *others)))
 
 
+def source_class(name: str) -> Any:
+    """Return the class of the source called `name`. Raises BadConfig if there is none, or it breaks the protocol."""
+    kind = SOURCES[name] if name in SOURCES else _added(name)
+    if isinstance(kind, str):
+        module, own = kind.split(".")
+        kind = getattr(import_module(f"{__name__}.{module}"), own)
+    return kind
+
+
 @cache
-def _added(name: str) -> SourceEntry:
+def _added(name: str) -> type[Any]:
     """The source that an installed package adds. Raises BadConfig if there is none, or it breaks the protocol."""
     entries = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
     check_source(name)
@@ -75,7 +64,7 @@ def _added(name: str) -> SourceEntry:
         raise BadConfig(f"{where}: a source must be a class with the methods of BodySource, found {kind!r}")
     if getattr(kind, "name", None) != name:
         raise BadConfig(f"{where}: the source must be called as its entry point")
-    return SourceEntry(kind, getattr(kind, "reads", None))
+    return kind
 
 
 def open_source(
@@ -96,10 +85,11 @@ def open_source(
     Raises BadConfig for an unknown name, or for arguments that the source does not take, BadLandmarks for a file that
     is not of the open body.
     """
-    entry = SOURCES[name] if name in SOURCES else _added(name)
+    kind = source_class(name)
+    reads = getattr(kind, "reads", None)  # the content of the folder; None for sources that make their bodies
     path, landmarks = (None if each is None else Path(each) for each in (path, landmarks))
-    if entry.reads is None:
-        source = entry.open()
+    if reads is None:
+        source: BodySource = kind()
         label_by = getattr(source, "label_by", None)
         given = {
             "--path": path,
@@ -115,7 +105,8 @@ def open_source(
             label_by(landmarks)
         return source
     if path is None:
-        raise BadConfig(f"the source {name!r} needs --path: the folder that holds {entry.reads}")
+        raise BadConfig(f"the source {name!r} needs --path: the folder that holds {reads}")
     if not path.is_dir():
         raise BadConfig(f"the source {name!r} reads a folder, found {'a file' if path.exists() else 'none'} at {path}")
-    return entry.open(path, landmarks, MeshOptions(units, up, pymeshlab))
+    opened: BodySource = kind(path, landmarks, MeshOptions(units, up, pymeshlab))
+    return opened

@@ -24,7 +24,7 @@ class FolderBodies(MeshBodies):
     sub-folders like those of `path`.
     """
 
-    name = "folder"
+    name, reads = "folder", "meshes and landmark files"
 
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)

@@ -64,7 +64,7 @@ def _is_scene(file: Path) -> bool:
 class LabelledScenes(ListedBodies[_SceneFiles]):
     """Scenes found below a folder, sorted by their paths. Raises BadConfig if there are none."""
 
-    name = "labelled"
+    name, reads = "labelled", "meshes with labels of their own, or scene files"
 
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         if landmarks is not None:

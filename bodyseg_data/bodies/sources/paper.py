@@ -68,7 +68,7 @@ _LONGEST_SUBJECT: Final = 28  # of a subject's name, which is twice in a sample 
 class ScapeBodies(MeshBodies):
     """Postures found in a folder, by number. Raises BadConfig if there are none."""
 
-    name = "scape"
+    name, reads = "scape", "mesh000.ply to mesh071.ply"
 
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
@@ -102,7 +102,7 @@ class MitBodies(MeshBodies):
     landmarks_B.json.
     """
 
-    name = "mit"
+    name, reads = "mit", "I_crane and the other sequences"
 
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
@@ -147,7 +147,7 @@ class CaesarBodies(MeshBodies):
     Raises BadConfig if there are none, more than 583, or two meshes of one name in different folders.
     """
 
-    name = "caesar"
+    name, reads = "caesar", "one mesh and one .lnd file a subject"
 
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
@@ -217,7 +217,7 @@ class PaperBodies(MeshBodies):
     `path`. Raises BadConfig if none of the sub-folders is there, or one holds nothing of its source.
     """
 
-    name = "paper"
+    name, reads = "paper", "scape, mit and caesar"
 
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         if landmarks is not None and not landmarks.is_dir():

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from benches.data.render import cluster
 from benches.data.render.cluster import Costs, at_scale
-from fakes import FiguresEntry
+from fakes import Figures
 from small_rig import SMALL
 
 from bodyseg_data.bodies import SOURCES
@@ -17,7 +17,7 @@ from bodyseg_data.packing import Packing
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # distributed closes its loops late
 def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
     monkeypatch.setattr(cluster, "_VIEWS", 2)
     monkeypatch.setattr(cluster, "_IDLE_S", 0.05)
     monkeypatch.setattr(cluster, "_PROCESSES", False)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from benches.data.surface import reduction as benches
 from benches.data.surface.reduction_figure import _COLOURS, draw_reduction
-from fakes import Figures, FiguresEntry
+from fakes import Figures
 from pictures import decoded, marks, part
 from shapes import figure
 from small_rig import SMALL
@@ -39,7 +39,7 @@ class PosedFigures(Figures):
 def figures(pymeshlab: Any) -> dict[str, Any]:
     steps: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(SOURCES, "open", FiguresEntry(make=PosedFigures))
+        patch.setitem(SOURCES, "open", PosedFigures)
         patch.setattr(benches, "load_rig", lambda: SMALL)
         patch.setattr(benches, "SHARES", (1.0, 0.5))
         patch.setattr(benches, "TOLERANCES_MM", (0.2,))

@@ -12,7 +12,7 @@ from benches.data.render import steps as render_steps
 from benches.data.render.alone import PLAIN, measure_renderers, true_range
 from benches.data.render.figure import _STAGES, draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
-from fakes import FiguresEntry
+from fakes import Figures
 from people_on_disk import write_by_vertex, write_mesh
 from pictures import decoded, marks
 from small_rig import SMALL
@@ -26,7 +26,7 @@ from bodyseg_data.samples import ViewGrid
 
 @pytest.fixture(autouse=True)
 def of_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
 
 
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2), rig=SMALL)

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 from benches.data.render import scaling
-from fakes import FiguresEntry
+from fakes import Figures
 
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import MissingLibrary
@@ -12,7 +12,7 @@ from bodyseg_data.core import MissingLibrary
 
 def test_every_cost_of_a_view_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """With plain figures and a worker in this process, which need no time to start."""
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setitem(SOURCES, "open", Figures)
     monkeypatch.setattr(scaling, "CLUSTER", {**scaling.CLUSTER, "processes": False, "protocol": "tcp"})
     for name, count in (("_BODIES", 1), ("_WRITTEN_BODIES", 3), ("_SENT_BODIES", 2)):
         monkeypatch.setattr(scaling, name, count)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.data.surface import borders as benches
-from fakes import Figures, FiguresEntry
+from fakes import Figures
 from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES
 from pygeodesic.geodesic import PyGeodesicAlgorithmExact
@@ -108,7 +108,7 @@ class Eggs(Figures):
 
 def test_the_bench_writes_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benches, "POSES", ("a_pose",))
-    monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Eggs))
+    monkeypatch.setitem(SOURCES, "open", Eggs)
     steps: list[tuple[int, int]] = []
     figures = benches.bench_borders(1, lambda done, total: steps.append((done, total)))
     assert steps == [(1, 1)]
