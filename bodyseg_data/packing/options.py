@@ -1,5 +1,6 @@
 """The options of a packing, and the source that they open."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -105,10 +106,8 @@ def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef
     groups: dict[str, list[BodyRef]] = {}
     for body in bodies:
         groups.setdefault(body.subset, []).append(body)
-    shares = dict.fromkeys(groups, 0)
-    for _ in range(count):
-        open_groups = [name for name in groups if shares[name] < len(groups[name])]
-        shares[min(open_groups, key=lambda name: shares[name])] += 1
+    in_turn = [name for turn in range(count) for name, group in groups.items() if turn < len(group)]
+    shares = Counter(in_turn[:count])
     chosen = {
         group[(2 * index + 1) * len(group) // (2 * shares[name])].mesh
         for name, group in groups.items()

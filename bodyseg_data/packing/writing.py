@@ -96,9 +96,8 @@ def cut(packing: Packing, bodies: Sequence[BodyRef]) -> list[Shard]:
 
 def cut_again(shards: Sequence[Shard], body: BodyRef) -> list[Shard]:
     """The shards whose samples change without a body: the first that holds it, and all after it of its split."""
-    of_split = [shard for shard in shards if shard.split == body.split]
-    first = next(index for index, shard in enumerate(of_split) if any(each == body for each, _ in shard.runs))
-    return of_split[first:]
+    of_split = (shard for shard in shards if shard.split == body.split)
+    return list(itertools.dropwhile(lambda shard: all(each != body for each, _ in shard.runs), of_split))
 
 
 def write_shards(
