@@ -23,7 +23,7 @@ from typing import Any, Final
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, reported
 from bodyseg_data.files import claimed as held_alone
-from bodyseg_data.files import parts_left, write_atomically
+from bodyseg_data.files import parse_json, parts_left, write_atomically
 from bodyseg_data.labels import TEMPLATE
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
@@ -201,15 +201,13 @@ def _is_of(manifest: Manifest, digest: str, shard_samples: int) -> bool:
 
 def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
     description = json.loads(json.dumps(description))  # tuples as lists, to compare with what was stored
-    try:
-        stored = json.loads(path.read_bytes())
-    except FileNotFoundError:
+    if not path.exists():
         write_atomically(path, json.dumps(description, indent=1).encode())
         return
-    except (ValueError, RecursionError):
-        stored = None
-    if stored != description:
-        raise BadConfig(f"{out} holds an unfinished packing of other options or files: finish it, or delete the folder")
+    with contextlib.suppress(BadConfig):  # a damaged plan is another
+        if parse_json(path.read_bytes(), str(path)) == description:
+            return
+    raise BadConfig(f"{out} holds an unfinished packing of other options or files: finish it, or delete the folder")
 
 
 def finished_shards(
@@ -263,15 +261,11 @@ def stored_skips(out: Path, state: Path, checked: Sequence[str]) -> dict[str, st
     """
     if (out / MANIFEST_NAME).exists():
         return {mesh: why for mesh, why in read_manifest(out).skipped.items() if mesh not in checked}
-    try:
-        stored = json.loads((state / _SKIPPED).read_bytes())
-    except FileNotFoundError:
+    path = state / _SKIPPED
+    if not path.exists():
         return {}
-    except (ValueError, RecursionError):
-        stored = None
-    if not isinstance(stored, dict) or not all(isinstance(why, str) for why in stored.values()):
-        raise BadConfig(f"{state / _SKIPPED} cannot be read: delete the folder {out} and pack again")
-    return stored
+    with reported(f"{path} cannot be read: delete the folder {out} and pack again", BadConfig):
+        return parse_json(path.read_bytes(), "it")
 
 
 def record_skips(state: Path, skipped: Mapping[str, str]) -> None:
