@@ -96,15 +96,6 @@ class _Parsed:
     of_polygons: dict[str, NDArray[Any]] = field(default_factory=dict)
     names: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # kind -> first polygon, name
 
-    def of_triangles(self) -> Faces:
-        """Number of the polygon that each triangle is a part of, [F]."""
-        sizes = [len(polygon) - 2 for polygon in self.polygons]
-        return np.repeat(np.arange(len(sizes)), sizes)
-
-    def named(self, kind: str) -> FaceNames:
-        starts, names = zip(*self.names[kind], strict=True)
-        return face_names(["", *names], np.diff([0, *starts, len(self.polygons)]))
-
 
 @dataclass(frozen=True)
 class _Property:
@@ -355,11 +346,15 @@ def read_mesh_content(path: Path) -> MeshContent:
         parsed = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
         vertices, faces = np.array(parsed.vertices, np.float64).reshape(-1, 3), _triangles(parsed.polygons)
     check_arrays(str(path), vertices, faces, check_unused=False)
-    of_triangles = parsed.of_triangles()
-    if len(faces) > len(parsed.polygons):
-        faces = _unfolded(vertices, faces, of_triangles)
-    names = {kind: parsed.named(kind) for kind in parsed.names}
-    return MeshContent(vertices, faces.astype(np.int32), of_triangles, parsed.of_vertices, parsed.of_polygons, names)
+    count = len(parsed.polygons)
+    polygon = np.repeat(np.arange(count), [len(corners) - 2 for corners in parsed.polygons])
+    if len(faces) > count:
+        faces = _unfolded(vertices, faces, polygon)
+    names = {}
+    for kind, runs in parsed.names.items():
+        starts, own = zip(*runs, strict=True)
+        names[kind] = face_names(["", *own], np.diff([0, *starts, count]))
+    return MeshContent(vertices, faces.astype(np.int32), polygon, parsed.of_vertices, parsed.of_polygons, names)
 
 
 def mesh_suffix(name: str, suffixes: Sequence[str] = MESH_SUFFIXES) -> str | None:
