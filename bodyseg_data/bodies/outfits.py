@@ -100,6 +100,11 @@ OUTFITS: Final[dict[str, Outfit]] = {
 """Outfits by name. "B" and "C" are for the subjects of those names."""
 
 
+def of_every_third(index: int, first: int) -> Outfit | None:
+    """The outfit of person number `index`: one in three from `first` on wears one, each time another; None for bare."""
+    return [*OUTFITS.values()][index // 3 % len(OUTFITS)] if index % 3 == first else None
+
+
 def drawn_outfit(draws: np.random.Generator, close: bool) -> Outfit:
     """Draw a top and trousers: loose shirts, jumpers, wide trousers, shorts; close: the same close to the body."""
     ranges = _CLOSE if close else _LOOSE

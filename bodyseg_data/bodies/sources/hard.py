@@ -10,7 +10,7 @@ from typing import Final
 
 from bodyseg_data.bodies.anny_model import Figure
 from bodyseg_data.bodies.anny_people import HIP_HAND, PEOPLE, person
-from bodyseg_data.bodies.outfits import OUTFITS
+from bodyseg_data.bodies.outfits import of_every_third
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
@@ -169,7 +169,6 @@ _TURNS: Final = 24
 _TURNED: Final = Pose(
     Trunk(bend=4, nod=3), Arm(flex=16, abduct=14, elbow=34), Arm(flex=-6, abduct=12, elbow=16), _STANDING, _STANDING
 )
-_DRESSED_EVERY: Final = 3
 
 
 class HardBodies(MadeBodies):
@@ -180,13 +179,9 @@ class HardBodies(MadeBodies):
 
 
 def _postures() -> Listed:
-    outfits = tuple(OUTFITS.values())
     for index, (name, pose) in enumerate(_POSES.items()):
         ref = BodyRef("hard", f"H{index:02d}", f"hard-{index:02d}", name, "test")
-        # One in three wears something, each time something else.
-        dressed = index % _DRESSED_EVERY == _DRESSED_EVERY - 1
-        outfit = outfits[index // _DRESSED_EVERY % len(outfits)] if dressed else None
-        yield ref, partial(Figure, person(_FIRST_PERSON + index), pose, outfit=outfit)
+        yield ref, partial(Figure, person(_FIRST_PERSON + index), pose, outfit=of_every_third(index, 2))
 
 
 def _turned() -> Listed:

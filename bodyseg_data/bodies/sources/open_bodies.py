@@ -34,7 +34,7 @@ from bodyseg_data.bodies.attire import Attire, drawn_attire, joined, put_on, und
 from bodyseg_data.bodies.contact_poses import ContactSampler, DrawnContact
 from bodyseg_data.bodies.limb_reaching import Ranges, within
 from bodyseg_data.bodies.motions.catalogue import MOTIONS, SUBJECTS, Motion
-from bodyseg_data.bodies.outfits import OUTFITS, Outfit, drawn_outfit
+from bodyseg_data.bodies.outfits import OUTFITS, Outfit, drawn_outfit, of_every_third
 from bodyseg_data.bodies.shells import Wearer
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
@@ -168,7 +168,6 @@ def _person(index: int) -> Figure:
 
 WIDE: Final = 900
 _FIRST_PERSON: Final = 1000  # beyond those of the open and the hard set
-_DRESSED_EVERY: Final = 3
 
 
 class WideStance(NamedTuple):
@@ -262,13 +261,7 @@ def _drawn() -> Listed:
 
 
 def _figure(index: int) -> Figure:
-    outfits = tuple(OUTFITS.values())
-    dressed = index % _DRESSED_EVERY == 0
-    return Figure(
-        person(_FIRST_PERSON + index),
-        drawn_pose(index),
-        outfit=outfits[index // _DRESSED_EVERY % len(outfits)] if dressed else None,
-    )
+    return Figure(person(_FIRST_PERSON + index), drawn_pose(index), outfit=of_every_third(index, 0))
 
 
 def drawn_pose(index: int) -> Pose:
