@@ -7,6 +7,7 @@ beside a metadata.yaml.
 
 import contextlib
 import io
+import os
 import sqlite3
 import struct
 import zlib
@@ -254,7 +255,7 @@ class _Ros1Bag:
         reader = bag_library("rosbags.rosbag1").Reader
         self._stream: tuple[Topic, int, Iterator[Any]] | None = None
         self._connections: dict[str, list[Connection]] = {}
-        self._reader = reader(path)
+        self._reader, self._process = reader(path), os.getpid()
         mended = "`rosbag reindex` mends a recording that was cut off"
         with BadConfig.named(f"{path} must be a whole ROS 1 bag with an index ({mended})", passes=MissingLibrary):
             self._reader.open()
@@ -272,6 +273,8 @@ class _Ros1Bag:
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic: the next one of the stream that is open, or else by its time."""
+        if self._process != os.getpid():  # a fork's file would move on with its parent's
+            self._reader.bio, self._process = self._reader.path.open("rb"), os.getpid()
         if self._stream is None or self._stream[:2] != (topic, index):
             time = int(topic.times_ns[index])
             messages = self._reader.messages(self._connections[topic.name], start=time)

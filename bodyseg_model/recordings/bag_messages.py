@@ -149,10 +149,11 @@ class _Images(FrameSource):
         return Stamp(int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec), str(header.frame_id))
 
     def _message(self, index: int) -> Any:
-        if self._last is None or self._last[0] != index:
-            self._last = None  # not two messages at once
-            self._last = index, decode(self._bag, self._topic, index)
-        return self._last[1]
+        with self.one_at_a_time:
+            if self._last is None or self._last[0] != index:
+                self._last = None  # not two messages at once
+                self._last = index, decode(self._bag, self._topic, index)
+            return self._last[1]
 
 
 def _first_message(bag: Bag, topic: Topic) -> Any:

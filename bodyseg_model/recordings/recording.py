@@ -1,10 +1,12 @@
 """One interface to recordings: frames of a range sensor, read one at a time, with times, camera and unit."""
 
 import hashlib
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import RLock
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -43,9 +45,13 @@ class Stamp:
 
 
 class FrameSource(ABC):
-    """Reader of the frames of one file by their numbers; a new one is a subclass."""
+    """Reader of the frames of one file by their numbers; a new one is a subclass.
+
+    one_at_a_time: held by readers that keep files open, or pieces of them, from frame to frame: threads share a reader.
+    """
 
     opened: ClassVar = True
+    one_at_a_time: ClassVar = RLock()
 
     @abstractmethod
     def read(self, index: int) -> NDArray[Any]:
@@ -57,6 +63,11 @@ class FrameSource(ABC):
     def stamp(self, index: int) -> Stamp | None:
         """Read the header of frame `index`; by default frames have none. Raises BadConfig."""
         return None
+
+
+# No process is forked while a thread reads: the lock would never be free in the child.
+_free = FrameSource.one_at_a_time.release
+os.register_at_fork(before=FrameSource.one_at_a_time.acquire, after_in_parent=_free, after_in_child=_free)
 
 
 @dataclass(frozen=True)

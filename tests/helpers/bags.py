@@ -73,8 +73,9 @@ def camera_info(shape: tuple[int, ...], topic: str = INFO, model: str = "plumb_b
     return topic, "sensor_msgs/msg/CameraInfo", {**fields, **other}
 
 
-def write_ros1(path: Path, messages: Sequence[Message], compression: Any = None) -> Path:
+def write_ros1(path: Path, messages: Sequence[Message], compression: Any = None, chunk_size: int = 1 << 20) -> Path:
     writer = Ros1Writer(path)
+    writer.chunk_threshold = chunk_size
     if compression is not None:
         writer.set_compression(compression)
     with writer:

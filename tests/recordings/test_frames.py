@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import image, write_mcap, write_ros1
+from kinect_mkv import write_mkv
 from PIL import Image
 from pngs import RAMP, png
 
@@ -192,3 +196,49 @@ def test_a_folder_of_any_bytes_has_a_hash(tmp_path: Path) -> None:
     (folder / "1.png").write_bytes(png(RAMP))
     (frame,) = find_frames([folder])
     assert len(frame.path_id) == 16 and frame.path_id != replace(frame, path=tmp_path / "1.png").path_id
+
+
+NOISE = np.random.default_rng(0).integers(1, 60000, (8, 60, 80), np.uint16)  # which nothing packs into one buffer
+
+
+def written(kind: str, path: Path) -> list[Frame]:
+    """Frames of `NOISE`, in a file that its reader keeps open or keeps pieces of."""
+    path /= f"noise.{kind}"
+    messages = [image(each, "16UC1", time_s) for time_s, each in enumerate(NOISE)]
+    if kind == "npz":
+        np.savez_compressed(path, depth=NOISE)
+    elif kind == "mkv":
+        write_mkv(path, {"DEPTH": NOISE})
+    elif kind == "bag":
+        write_ros1(path, messages, chunk_size=1)
+    else:
+        write_mcap(path, messages, chunk_size=1)
+    return find_frames([path])
+
+
+@pytest.mark.parametrize("kind", ["npz", "mkv", "bag", "mcap"])
+def test_threads_may_read_a_recording_at_once(kind: str, tmp_path: Path) -> None:
+    frames, before = written(kind, tmp_path), sys.getswitchinterval()
+
+    def read(number: int) -> bool:
+        return np.array_equal(frames[number].read(), NOISE[number])
+
+    try:
+        sys.setswitchinterval(1e-6)
+        with ThreadPoolExecutor(2) as pool:
+            assert all(pool.map(read, [*range(8), *range(8)[::-1]] * 10))
+    finally:
+        sys.setswitchinterval(before)
+
+
+@pytest.mark.parametrize("kind", ["npz", "mkv", "bag"])
+def test_a_fork_leaves_its_parents_recording_where_it_is(kind: str, tmp_path: Path) -> None:
+    frames = written(kind, tmp_path)
+    for number in range(7):
+        np.testing.assert_array_equal(frames[number].read(), NOISE[number])
+        child = os.fork()
+        if not child:
+            same = all(np.array_equal(frames[n].read(), NOISE[n]) for n in range(number + 1, 8))
+            os._exit(0 if same else 1)
+        assert os.waitpid(child, 0)[1] == 0
+    np.testing.assert_array_equal(frames[7].read(), NOISE[7])

@@ -7,6 +7,7 @@ refused by their shape.
 from __future__ import annotations
 
 import math
+import os
 import re
 import zipfile
 from dataclasses import dataclass
@@ -145,7 +146,7 @@ class _Zipped(FrameSource):
     """Frames of arrays in a zip. The array that was read last stays open, so that neighbours are read in one pass."""
 
     def __init__(self, path: Path, locations: list[tuple[_Array, int]]) -> None:
-        self._path, self._locations = path, locations
+        self._path, self._locations, self._process = path, locations, os.getpid()
         self._archive: zipfile.ZipFile | None = None
         self._held: tuple[_Array, IO[bytes]] | None = None
         self._whole: tuple[_Array, NDArray[Any]] | None = None
@@ -164,14 +165,18 @@ class _Zipped(FrameSource):
     def read(self, index: int) -> NDArray[Any]:
         array, number = self._locations[index]
         size = array.sides[-2] * array.sides[-1] * array.kind.itemsize
-        try:
-            if array.columns_first:
-                found: NDArray[Any] = self._stack(array)[number]
-                return found
-            data = self._opened(array, array.start + number * size).read(size)
-        except Exception as error:  # as above
-            self._close()
-            raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
+        with self.one_at_a_time:
+            if self._process != os.getpid():  # a fork's file would move on with its parent's
+                self._close()
+                self._process = os.getpid()
+            try:
+                if array.columns_first:
+                    found: NDArray[Any] = self._stack(array)[number]
+                    return found
+                data = self._opened(array, array.start + number * size).read(size)
+            except Exception as error:  # as above
+                self._close()
+                raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
         if len(data) != size:
             raise BadConfig(f"the array {array.title!r} must be whole, found {len(data)} of {size} bytes")
         return np.frombuffer(data, array.kind).reshape(array.sides[-2:])

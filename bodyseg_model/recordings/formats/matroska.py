@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -51,16 +52,18 @@ class _Frames(FrameSource):
 
     def __init__(self, path: Path, track: int, marks: list[tuple[int, float]]) -> None:
         self._path, self._track, self._marks = path, track, sorted(marks)
-        self._next: tuple[int, Iterator[NDArray[np.uint16]]] | None = None
+        self._next: tuple[int, int, Iterator[NDArray[np.uint16]]] | None = None
         self.times_s = [time for _, time in self._marks]
 
     def read(self, index: int) -> NDArray[Any]:
-        if self._next is None or self._next[0] != index:
-            self._next = index, self._from(index)
-        stream, self._next = self._next[1], None
-        with reported("the frame cannot be decoded", BadConfig, Exception):  # whatever the decoder raises
-            pixels = next(stream)
-        self._next = index + 1, stream
+        process = os.getpid()  # a fork's file would move on with its parent's
+        with self.one_at_a_time:
+            if self._next is None or self._next[:2] != (process, index):
+                self._next = process, index, self._from(index)
+            stream, self._next = self._next[2], None
+            with reported("the frame cannot be decoded", BadConfig, Exception):  # whatever the decoder raises
+                pixels = next(stream)
+            self._next = process, index + 1, stream
         return pixels
 
     def _from(self, index: int) -> Iterator[NDArray[np.uint16]]:
