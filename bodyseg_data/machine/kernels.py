@@ -261,10 +261,18 @@ def _folder(named: str, digest: str) -> Path | None:
 def _of_process(home: Path | None) -> Path:
     """A folder that is removed at the end of this process."""
     folder = tempfile.mkdtemp(prefix="bodyseg-kernels-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    atexit.register(_remove, folder)
     text = f"compiled loops cannot be kept in {home or 'a home'}, so every process compiles them anew: "
     warnings.warn(f"{text}NUMBA_CACHE_DIR names another folder", RuntimeWarning, stacklevel=2)
     return Path(folder)
+
+
+def _remove(folder: str) -> None:
+    """Remove this process's folder, once those that compile into it have ended: they would make it anew."""
+    for process in _processes:
+        process.kill()
+        process.wait()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _digest(loops: Callable[..., Any], numba: Any) -> str:

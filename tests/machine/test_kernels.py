@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -198,6 +199,24 @@ def test_without_a_folder_that_can_be_written_loops_still_run(
         assert len(told) == 1 and not kept(tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_the_folder_of_a_process_goes_with_it_and_with_those_that_compile_into_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler = subprocess.Popen(["sleep", "100"])
+    monkeypatch.setattr(kernels, "_processes", [compiler])
+    monkeypatch.setattr(kernels.tempfile, "mkdtemp", lambda prefix: str(tmp_path / "own"))
+    ends: list[Any] = []
+    monkeypatch.setattr(kernels.atexit, "register", lambda *job, **options: ends.append(partial(*job, **options)))
+    with pytest.warns(RuntimeWarning, match="compiled loops cannot be kept"):
+        (kernels._of_process.__wrapped__(None) / "code").mkdir(parents=True)
+    ends[0]()
+    try:
+        assert compiler.poll() == -signal.SIGKILL and not (tmp_path / "own").exists()
+    finally:
+        compiler.kill()
+        compiler.wait()
 
 
 def test_a_user_without_a_home_may_name_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
