@@ -209,7 +209,8 @@ class FrameLabeller:
         `prepare` comes first.
         at_once: frames that are labelled at the same time, each in a thread, which has as many of PyTorch's threads as
         the caller: the same answers in the same order, more of them a second, each a little later. Each frame must then
-        be an array of its own, into which no driver writes again. Frames of a `video` are labelled one after another.
+        be an array of its own, into which no driver writes again, and whoever leaves early waits for the next frame: no
+        thread can be stopped in a driver. Frames of a `video` are labelled one after another.
         Raises BadConfig as a call, naming the frame by its number.
         """
         self.restart()

@@ -238,7 +238,10 @@ def test_a_fork_leaves_its_parents_recording_where_it_is(kind: str, tmp_path: Pa
         np.testing.assert_array_equal(frames[number].read(), NOISE[number])
         child = os.fork()
         if not child:
-            same = all(np.array_equal(frames[n].read(), NOISE[n]) for n in range(number + 1, 8))
-            os._exit(0 if same else 1)
+            same = False
+            try:
+                same = all(np.array_equal(frames[n].read(), NOISE[n]) for n in range(number + 1, 8))
+            finally:
+                os._exit(0 if same else 1)
         assert os.waitpid(child, 0)[1] == 0
     np.testing.assert_array_equal(frames[7].read(), NOISE[7])
