@@ -238,8 +238,8 @@ _WORN[[7, 8, 11, 12, *range(23, 31)]] = _TROUSERS
 
 
 def fill(parts: Any, place: Any, cloth: Any, sums: Any, clothes: Any, motion: Any, tables: Any) -> None:
-    """Write what `PhaseShift.looks` returns, transposed, into tables. Compiled, too, so it indexes arrays, a number at a
-    time: to compile assignments of rows takes longer than all else here.
+    """Write what `PhaseShift.looks` returns, transposed, into tables. Compiled, too, so it indexes arrays, a number at
+    a time: to compile assignments of rows takes longer than all else here.
 
     place: metres of a step, focal length, centre and stand-off; cloth: its strengths, and speed of hands and feet, m/s;
     clothes, motion: of `DRAWN`, [6, 12] and [108].

@@ -7,8 +7,10 @@ Networks see images checked, centred, averaged, and cut into the patches that `c
 which GPUs need, that takes 1.1 ms an image of 640 x 329 pixels; by `patch_loops`, 0.4 ms, to the same values.
 """
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple, Self
@@ -50,6 +52,7 @@ class Network(nn.Module, ABC):
 
     def __init__(self, settings: Mapping[str, Any] | None = None, classes: int = PART_COUNT) -> None:
         super().__init__()
+        _compute_alone_in_forks()
         self.classes = check_int("classes", classes, 1, BACKGROUND)  # labels are bytes
         self.settings = {**(settings or {}), **({} if classes == PART_COUNT else {"classes": classes})}
 
@@ -100,6 +103,12 @@ class Network(nn.Module, ABC):
     def extra_repr(self) -> str:
         """Settings, for `repr`."""
         return ", ".join(f"{name}={value!r}" for name, value in self.settings.items())
+
+
+@cache
+def _compute_alone_in_forks() -> None:
+    """Have forks of this process compute in one thread: OpenMP would wait for ever for threads that a fork lacks."""
+    os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
 
 
 def check_label_map(network: Network, label_map: LabelMap) -> None:

@@ -1,9 +1,8 @@
 """Segmentation of a frame of any range camera: remove the background, resample and label each body, map labels back."""
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Any, Final, Self
@@ -183,12 +182,6 @@ def _may_lie(range_m: NDArray[np.float32]) -> bool:
     return bool(wide > 1.2 * high or ranges[:third].mean() > ranges[-third:].mean() + 0.15)
 
 
-@cache
-def _compute_alone_in_forks() -> None:
-    """Have forks of this process compute in one thread: OpenMP would wait for ever for threads that a fork lacks."""
-    os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
-
-
 class Segmenter:
     """Labels the frames of one camera without lens distortion, each alone or, with `video`, steadied by those before.
 
@@ -238,7 +231,6 @@ class Segmenter:
         if camera.distortion is not None:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
         required("numba", "labelling frames", "segment")
-        _compute_alone_in_forks()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.quarters = check_choice("quarters", quarters, range(4))  # not degrees
         self._upright = camera.turned(quarters)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +23,7 @@ from kernel_forms import computed_by
 from toy_network import Toy
 
 from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Network, build, network_class, predict, predict_each, registry
 from bodyseg_model.networks.names import NETWORKS
 from bodyseg_model.training.loss import NetworkWithLoss
@@ -198,3 +201,15 @@ def test_a_new_network_is_one_new_file_and_one_line(
     assert card["recipe"]["steps"] == 2 and card["recipe"]["mirror"], "the recipe of compact is the default"
     found = json.loads(Path(scores).read_text())
     assert found["card"]["network"] == "toy" and found["images"] == 8
+
+
+def test_a_fork_predicts_though_its_parent_has_computed_in_threads() -> None:
+    network, image = Toy().eval(), torch.ones(1, 1, 512, 512)
+    with torch_threads(2):
+        labels = predict(network, image).labels  # from here on there are two
+        child = os.fork()
+        if child == 0:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(30)  # ends a hang
+            os._exit(int(torch.equal(predict(network, image).labels, labels)))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
