@@ -386,6 +386,11 @@ def test_loops_are_loaded_before_threads_label_frames(tmp_path: Path, monkeypatc
     opened = labeller().recording(recording(tmp_path / "frames", 20, 24), focal_px=100.0)
     done.extend("labelled" for _ in opened.labelled(at_once=2))
     assert done == ["prepared", "labelled", "labelled"]
+    label = labeller(video=True)
+    list(label.recording(tmp_path / "frames", focal_px=100.0).labelled(at_once=2))
+    assert done.count("prepared") == 1, "frames of a video are labelled one after another"
+    with pytest.raises(BadConfig, match="^at_once must be a whole number of at least 1, found '2'$"):
+        next(opened.labelled(at_once="2"))  # type: ignore[arg-type]
 
 
 def test_headers_are_read_where_they_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
