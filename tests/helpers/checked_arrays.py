@@ -48,7 +48,7 @@ class Promise:
 
     def check(self, what: str, array: Any, known: dict[str, int]) -> None:
         """Compare an array with the promise; known: the lengths seen so far, which this one's are added to."""
-        kind, shape = _kind(array.dtype), tuple(array.shape)
+        kind, shape = _kind(array.dtype), tuple(map(int, array.shape))
         fits = kind in self.kinds and len(shape) == len(self.lengths)
         if fits:
             for length, found in zip(self.lengths, shape, strict=True):

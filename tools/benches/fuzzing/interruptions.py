@@ -114,7 +114,8 @@ class Interrupted:
         run = _forked if trouble == "killed" else _ended
         status = run(lambda: self._troubled(trouble, operation, out), message_file)
         wrong = left_over(out, self.whole)
-        released = trouble == "folder gone" and operation == self.operations  # the last one lets go of a finished set
+        # The last two let go of a finished set.
+        released = trouble == "folder gone" and operation >= self.operations - 1
         ended = status == 0 and (released or contents(out) == self.whole)
         refused = status == 2 and message_file.read_text().count("\n") == 1
         if not (ended or (status == -signal.SIGKILL if trouble == "killed" else refused)):
