@@ -30,9 +30,9 @@ def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     one, two = found["clusters"]
     assert (one["workers"], two["workers"]) == (1, 2)
     for row in (one, two):
-        assert row["worker_ms"] > 0
+        assert row["worker_ms"] >= 0  # 0 where idle processes took as much
         assert set(row["idle_ms"]) == {"worker", "scheduler", "packer"}
-        assert row["predicted_s"] > 0
+        assert row["predicted_s"] >= 0
     assert 100 < found["job_bytes"] < found["result_bytes"]
 
 
