@@ -17,7 +17,7 @@ from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation import CarriedLabels, carried_labels
 from bodyseg_model.segmentation.carried_labels import BodyPixels, Carrying, CellLens, Cells, nearest_first, part_shifts
-from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, cells_met, nearest
+from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, cells_met, middle_of, nearest
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 FINE = Camera(480, 640, 800.0, (320.0, 240.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -63,6 +63,19 @@ def repeated(labels: Labels, share: float, seed: int) -> Labels:
     """Labels of which a share is 30, at places drawn anew for each seed."""
     wrong = np.random.default_rng(seed).random(labels.shape) < share
     return np.where(wrong & (labels != BACKGROUND), np.uint8(30), labels)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 8, 301])
+def test_the_middle_of_deviations_is_that_of_a_sort(count: int) -> None:
+    rng = np.random.default_rng(count)
+    for values in (
+        rng.exponential(0.01, count),
+        rng.integers(0, 3, count),
+        np.zeros(count),
+        10.0 ** rng.uniform(-44, 38, count),
+    ):
+        exact = values.astype(np.float32)
+        assert middle_of(exact) == np.sort(exact)[count // 2]
 
 
 def test_the_first_frame_is_the_networks_own() -> None:
