@@ -71,6 +71,7 @@ class _Frames(FrameSource):
         wanted = self._marks[index][0]
         with _opened(self._path) as container:
             track = next(each for each in container.streams.video if each.index == self._track)
+            track.codec_context.thread_count = 1  # a fork, which has no others, would wait for them for ever
             track.codec_context.options = {"max_pixels": str(LARGEST_SIDE**2)}  # of frames larger than their header
             container.seek(wanted, stream=track, backward=True)
             for frame in container.decode(track):
