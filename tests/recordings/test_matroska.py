@@ -44,7 +44,7 @@ def test_the_depth_track_is_read_without_loss(tmp_path: Path) -> None:
 
 
 def test_frames_that_need_others_are_read_in_any_order(tmp_path: Path) -> None:
-    """FFV1 with one frame in ten that stands alone, in slices, which decoders share out over threads; also by a fork."""
+    """FFV1 with one frame in ten that stands alone, in slices, which decoders share over threads; also by a fork."""
     path = tmp_path / "a.mkv"
     with av.open(str(path), "w", format="matroska") as container:
         track = container.add_stream("ffv1", rate=30, options={"g": "10", "level": "3", "slices": "4"})
