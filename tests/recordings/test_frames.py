@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -229,6 +230,14 @@ def test_threads_may_read_a_recording_at_once(kind: str, tmp_path: Path) -> None
             assert all(pool.map(read, [*range(8), *range(8)[::-1]] * 10))
     finally:
         sys.setswitchinterval(before)
+
+
+@pytest.mark.parametrize("kind", ["npz", "mkv", "mcap"])
+def test_frames_are_pickled_after_some_are_read(kind: str, tmp_path: Path) -> None:
+    frames = written(kind, tmp_path)
+    frames[3].read()
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(frames))[4].read(), NOISE[4])
+    np.testing.assert_array_equal(frames[4].read(), NOISE[4])
 
 
 @pytest.mark.parametrize("kind", ["npz", "mkv", "bag"])

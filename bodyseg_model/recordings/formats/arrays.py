@@ -151,6 +151,9 @@ class _Zipped(FrameSource):
         self._held: tuple[_Array, IO[bytes]] | None = None
         self._whole: tuple[_Array, NDArray[Any]] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_archive": None, "_held": None, "_whole": None}  # another process opens it itself
+
     def __del__(self) -> None:
         self._close()
 

@@ -55,6 +55,9 @@ class _Frames(FrameSource):
         self._next: tuple[int, int, Iterator[NDArray[np.uint16]]] | None = None
         self.times_s = [time for _, time in self._marks]
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_next": None}  # another process opens it itself
+
     def read(self, index: int) -> NDArray[Any]:
         process = os.getpid()  # a fork's file would move on with its parent's
         with self.one_at_a_time:
