@@ -141,8 +141,14 @@ class FrameLabeller:
             finder=None if self._finder is None else self._finder.network,
             dense=dense,
         )
-        # Of no method of its own, so that a labeller that nobody holds any more leaves no networks in memory.
-        self._segmenters = lru_cache(maxsize=_KEPT)(partial(_with_lens, partial(self._segmenter, video=self.video)))
+        self._segmenters = _kept(self._segmenter, self.video)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_segmenters": None}  # a worker that is spawned makes its own
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._segmenters = _kept(self._segmenter, self.video)
 
     def __repr__(self) -> str:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
@@ -275,6 +281,13 @@ class FrameLabeller:
             "device": str(device_of(self.trained.network)),
             "runtime": backend_of(self.trained.network),
         }
+
+
+def _kept(
+    segmenter: Any, video: CarriedLabels | None
+) -> Callable[[Camera, int], tuple[Undistortion | None, Segmenter]]:
+    """Undistortion and segmenter of each camera and turn, kept; by no method, so that a labeller nobody holds goes."""
+    return lru_cache(maxsize=_KEPT)(partial(_with_lens, partial(segmenter, video=video)))
 
 
 def _with_lens(segmenter: Any, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import pickle
 import threading
 import weakref
 from collections.abc import Iterator
@@ -369,6 +370,14 @@ def test_a_video_begins_anew_with_each_recording_and_stream(tmp_path: Path, monk
     label.restart()
     assert carried[-1] == -1
     labeller().restart()  # nothing is carried over without video
+
+
+def test_a_labeller_can_be_sent_to_workers_that_are_spawned() -> None:
+    own = labeller()
+    wanted = own(standing(20), CAMERA)
+    sent = pickle.loads(pickle.dumps(own))
+    np.testing.assert_array_equal(sent(standing(20), CAMERA).labels, wanted.labels)
+    assert sent.of(CAMERA)[1] is sent.of(CAMERA)[1] is not own.of(CAMERA)[1]
 
 
 def test_leaving_early_leaves_no_thread(tmp_path: Path) -> None:
