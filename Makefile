@@ -23,34 +23,34 @@ demo: $(VENV)/.demo
 	@rm -rf demo
 	@PYTHONPATH=tools $(BIN)/python -m benches demo --out demo
 
+# Two files of tests at a time, long ones first (tests/conftest.py), each with one thread of PyTorch: twice two threads
+# wait for each other.
+TESTS := OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 # Tests that run whole benches, small: a sixth of the time of all.
 MEASURING := tests/benches/data tests/benches/model
 
-# Two files of tests at a time, long ones first (tests/conftest.py), each with one thread of PyTorch: twice two threads
-# wait for each other.
 # Rules of structure are in `check`.
 test: install
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/test_structure.py \
-		$(MEASURING:%=--ignore %)
+	$(TESTS) --ignore tests/test_structure.py $(MEASURING:%=--ignore %)
 
 test-benches: install
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(MEASURING)
+	$(TESTS) $(MEASURING)
 
 # Folders and files whose tests call compiled loops.
 LOOPED := tests/machine tests/labels tests/artifacts tests/segmentation tests/training/test_geometric.py tests/training/test_mirror.py \
 	tests/shards/test_sample_codec.py tests/loading/test_labels.py \
-	tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py \
-	tests/training/test_loss.py
+	tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py
 
 # Compiled loops with every index checked: an access beyond an array is then an IndexError, not a damaged heap. Their
 # machine code has folders of its own (bodyseg_data/machine/kernels.py).
 test-bounds: install
-	OMP_NUM_THREADS=1 NUMBA_BOUNDSCHECK=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(LOOPED)
+	NUMBA_BOUNDSCHECK=1 $(TESTS) $(LOOPED)
 
 # Tests of what benches compare with, packages that `make install` leaves out: loaders, decoders, networks.
 test-rivals: install
 	tools/install_rivals
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder tests/benches tests/networks
+	$(TESTS) tests/benches tests/networks
 
 # Types take longest, by two processes: all else is checked beside them.
 check: install
