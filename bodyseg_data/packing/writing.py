@@ -22,8 +22,8 @@ from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, reported
+from bodyseg_data.files import Table, parse_json, parts_left, write_atomically
 from bodyseg_data.files import claimed as held_alone
-from bodyseg_data.files import parse_json, parts_left, write_atomically
 from bodyseg_data.labels import TEMPLATE
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
@@ -265,7 +265,9 @@ def stored_skips(out: Path, state: Path, checked: Sequence[str]) -> dict[str, st
     if not path.exists():
         return {}
     with reported(f"{path} cannot be read: delete the folder {out} and pack again", BadConfig):
-        return parse_json(path.read_bytes(), "it")
+        stored = parse_json(path.read_bytes(), "it")
+        table = Table(stored, "it")
+        return {mesh: table.text(mesh) for mesh in stored}
 
 
 def record_skips(state: Path, skipped: Mapping[str, str]) -> None:

@@ -369,9 +369,10 @@ def test_a_state_that_cannot_be_read_is_one_line(tmp_path: Path, figures: Callab
         figures(tmp_path / "out", Frail, OnFaults("skip", 1))
     stored = tmp_path / "out" / STATE_NAME / "skipped.json"
     assert json.loads(stored.read_text()) == {"A-1": "mesh A-1: faces must point outwards"}
-    stored.write_text('{"A-1"')
-    with pytest.raises(BadConfig, match=r"skipped\.json cannot be read: delete the folder"):
-        figures(tmp_path / "out", Frail)
+    for damaged in ('{"A-1"', '{"A-1": 1}'):
+        stored.write_text(damaged)
+        with pytest.raises(BadConfig, match=r"skipped\.json cannot be read: delete the folder"):
+            figures(tmp_path / "out", Frail)
 
 
 @pytest.mark.usefixtures("packing_here")
