@@ -225,7 +225,7 @@ def test_a_sensor_that_is_not_there_is_one_line(tmp_path: Path, figures_set: Pat
         RangeImages(figures_set, sensor="kinect")
     with pytest.raises(BadConfig, match=r"cannot read the sensor file .*none\.toml: "):
         load_sensor_model(tmp_path / "none.toml")
-    with pytest.raises(BadConfig, match="a sensor is given by its name or a path, found "):
+    with pytest.raises(BadConfig, match="a sensor is given by its name or a path, found 3$"):
         load_sensor_model(3)  # type: ignore[arg-type]
 
 

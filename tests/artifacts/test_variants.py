@@ -222,10 +222,10 @@ def test_arrays_that_do_not_fit_the_sample_are_refused(name: VariantName) -> Non
     image, labels = np.zeros((24, 20), np.uint16), np.zeros((24, 20), np.uint8)
     constant = image.copy()
     constant.flags.writeable = False
-    for wrong in (image[1:], image.astype(np.int32), np.zeros((24, 40), np.uint16)[:, ::2], constant):
-        with pytest.raises(
-            BadSample, match=r"^pinned: (the image must be uint16 \(24, 20\)|images must be contiguous)"
-        ):
+    unfit, apart = r"the image must be uint16 \(24, 20\)", "images must be contiguous arrays that can be written to"
+    gaps = np.zeros((24, 40), np.uint16)[:, ::2]
+    for wrong, said in ((image[1:], unfit), (image.astype(np.int32), unfit), (gaps, apart), (constant, apart)):
+        with pytest.raises(BadSample, match=f"^pinned: {said}"):
             augmentation.into(sample, 0, wrong, labels)
     with pytest.raises(BadSample, match=r"^pinned: the image of labels must be uint8 \(24, 20\) .*, found bool"):
         augmentation.into(sample, 0, image, labels > 0)  # type: ignore[arg-type]
