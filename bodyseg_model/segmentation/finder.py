@@ -49,7 +49,6 @@ _LEVEL_M: Final = 0.1
 _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a head, metres
 _NEW_M2: Final = 0.002  # least surface at which a top begins
 _APART_M2: Final = 0.06  # least surface of what meets no other
-_SIDES: Final = ((0, 1, 0), (1, 1, 1), (0, 1, 0))  # cells that touch at a side are of one surface
 _FREE_M: Final = 0.05  # half the width over a top in which there is nothing else
 _FARTHEST_M: Final = 16.4  # beyond it, nothing is measured: as in recordings in floating point
 
@@ -340,7 +339,7 @@ def _heads(samples: _Samples, edge_m: float) -> list[int]:
     least_height, least_area, least_width = _HEAD
     tops, heads, level = dict[int, float](), list[int](), max(1, round(_LEVEL_M * a_metre))  # tops: first cell -> area
     for last in range(level, len(whole) + level, level):
-        surfaces, count = label(whole[:last], _SIDES)
+        surfaces, count = label(whole[:last])  # of cells that touch at a side
         surface, together = surfaces.ravel(), dict[int, list[int]]()
         for top in sorted(tops):
             together.setdefault(int(surface[top]), []).append(top)

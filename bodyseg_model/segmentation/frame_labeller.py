@@ -357,8 +357,8 @@ class LabelledRecording:
         at_once: as of `FrameLabeller.stream`; another thread then reads recordings. stamps: read the headers of frames'
         messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
         """
-        at_once = 1 if self.labeller.video else check_int("at_once", at_once, 1)
-        if at_once > 1:  # threads that load a loop together take PyTorch's form of it at first, with other last bits
+        at_once = 1 if self.labeller.video else at_once
+        if at_once != 1:  # threads that load a loop together take PyTorch's form of it at first, with other last bits
             self.prepare()
         with contextlib.closing(side_by_side(self._jobs(stamps), at_once)) as answers:
             yield from (answer for answer in answers if answer is not None)

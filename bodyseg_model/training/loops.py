@@ -1,6 +1,4 @@
-"""The loop of a training, compiled: images moved; the bits of the same in PyTorch's operations, which GPUs need
-(`augmentation`).
-"""
+"""The loop that moves the images of a batch, compiled: the bits of `augmentation` in PyTorch's operations."""
 
 from typing import Any
 
