@@ -159,6 +159,11 @@ class _LastFrame:
     bodies: list[tuple[Cells, CellLens, float]] = field(repr=False)
 
 
+def _loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module(f"{__package__}.carried_loops")
+
+
 class CarriedLabels:
     """Steadies the labels of a recording's frames: called with each frame in turn, it returns the labels to show.
 
@@ -174,14 +179,14 @@ class CarriedLabels:
 
     def __init__(self, carrying: Carrying | None = None) -> None:
         self.carrying = carrying or Carrying()
-        self._loops = import_module(f"{__package__}.carried_loops")
+        _loops()  # now, so that a missing library is told
         self.restart()
 
     def restart(self, *, numbers: bool = True) -> None:
         """Forget all frames, as at the start of a recording. numbers: of bodies, begin at 1 again, else they go on."""
         self._last: _LastFrame | None = None
         self._frame = 0
-        self._new: itertools.count[int] = itertools.count(1) if numbers else self._new
+        self._highest: int = 0 if numbers else self._highest
         self._tracked: dict[int, tuple[Middle, int]] = {}  # number -> middle, and the frame in which it was there
         self.tracks: list[int] = []
 
@@ -198,7 +203,7 @@ class CarriedLabels:
         last = self._last
         flat, named = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
         seen = [BodyPixels(*body, flat, named) for body in bodies if len(body[0])]
-        slots = np.empty((flat.size, self._loops.SLOTS), np.uint32)
+        slots = np.empty((flat.size, _loops().SLOTS), np.uint32)
         new = Images(np.zeros(flat.size, np.float32), slots, np.full(flat.size, BACKGROUND, np.uint8))
         lenses = [self._lens(body, camera) for body in seen]
         cells, known = list(map(self._cells, seen, lenses)), []
@@ -233,7 +238,7 @@ class CarriedLabels:
         return CellLens(camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells)
 
     def _cells(self, body: BodyPixels, lens: CellLens) -> Cells:
-        grid, place, points, labels, noise_m = self._loops.cells_of(body, lens, np.float32(_JUMP_M))
+        grid, place, points, labels, noise_m = _loops().cells_of(body, lens, np.float32(_JUMP_M))
         around = np.pad(grid.reshape(lens.down, lens.across), 1, constant_values=-1)
         row, column = np.divmod(place, lens.across)
         sides = (row + 1, column), (row + 1, column + 2), (row, column + 1), (row + 2, column + 1)
@@ -252,7 +257,9 @@ class CarriedLabels:
         numbers = [None if pair is None else self.tracks[pair] for pair in pairs]
         away = {n: middle for n, (middle, _) in known.items() if n not in numbers}
         back = iter(_nearest([middle for middle, n in zip(middles, numbers, strict=True) if n is None], away, _AWAY_M))
-        self.tracks = [n or next(back) or next(self._new) for n in numbers]
+        new = itertools.count(self._highest + 1)
+        self.tracks = [n or next(back) or next(new) for n in numbers]
+        self._highest = max([self._highest, *self.tracks])
         self._tracked = known | {n: (middle, self._frame) for n, middle in zip(self.tracks, middles, strict=True)}
 
     def _rule(self, tolerance_m: float, bends: bool = False) -> Rule:
@@ -262,7 +269,7 @@ class CarriedLabels:
         if bends:
             keep, share, border, margin = given.bending_keep, given.border_share, given.border, 0.0
         kept, border_kept = (np.uint32(round(1024 * part)) for part in (keep, share * keep))
-        least, tolerance = np.uint32(round(margin * self._loops.UNIT)), np.float32(tolerance_m)
+        least, tolerance = np.uint32(round(margin * _loops().UNIT)), np.float32(tolerance_m)
         return Rule(nearest_first(given.reach), given.reach, tolerance, kept, border_kept, border, least)
 
     def _motion(
@@ -289,7 +296,7 @@ class CarriedLabels:
         if gain <= _BENDS:
             shifts[:], weights[:] = 0, 0
         faith = np.float32(1 / (1 + (noise / _FAITH_NOISE_M) ** 2))
-        field = self._loops.smooth_field(places, own, shifts, weights, earlier, lens, np.float32(gate), faith)
+        field = _loops().smooth_field(places, own, shifts, weights, earlier, lens, np.float32(gate), faith)
         return rigid.astype(np.float32), field, gain
 
     def _rigid(self, own: Cells, earlier: Cells, lens: CellLens, gate: float) -> Rigid:
@@ -302,7 +309,7 @@ class CarriedLabels:
         rigid = min(starts, key=lambda start: self._fit(moved(start, some), labels, earlier, lens, gate)[0])
         for _ in range(_RIGID_STEPS):  # of Gauss and Newton (Chen and Medioni 1992), with Tukey's weights
             places = moved(rigid, some)
-            met = self._loops.cells_met(places, earlier, lens, gate)
+            met = _loops().cells_met(places, earlier, lens, gate)
             middle, (seen,) = places.mean(axis=0, dtype=np.float64), np.nonzero(met >= 0)
             normals, arms = earlier.normals[met[seen]].astype(np.float64), places[seen] - middle
             away = np.einsum("ij,ij->i", normals, earlier.points[met[seen]] - places[seen])
@@ -320,7 +327,7 @@ class CarriedLabels:
         """
         if not len(places):
             return 0.0, 0.0
-        met = self._loops.cells_met(places, old, lens, gate)
+        met = _loops().cells_met(places, old, lens, gate)
         away = np.where(met >= 0, np.abs(old.points[met, 2] - places[:, 2]), gate)
         return float(away.mean(dtype=np.float64)), float(((met >= 0) & (old.labels[met] == labels)).mean())
 
@@ -329,7 +336,7 @@ class CarriedLabels:
 
         def work(run: tuple[int, int]) -> None:
             some = body._replace(pixels=body.pixels[slice(*run)], confidence=body.confidence[slice(*run)])
-            self._loops.carry(some, *arguments)
+            _loops().carry(some, *arguments)
 
         count = len(body.pixels)
         threads = min(torch.get_num_threads(), max(1, count // _LEAST_PIXELS))

@@ -372,11 +372,14 @@ def test_a_video_begins_anew_with_each_recording_and_stream(tmp_path: Path, monk
     labeller().restart()  # nothing is carried over without video
 
 
-def test_a_labeller_can_be_sent_to_workers_that_are_spawned() -> None:
-    own = labeller()
-    wanted = own(standing(20), CAMERA)
+@pytest.mark.parametrize("video", [False, True])
+def test_a_labeller_can_be_sent_to_workers_that_are_spawned(video: bool) -> None:
+    own = labeller(video=video)
+    own(standing(20), CAMERA)
     sent = pickle.loads(pickle.dumps(own))
-    np.testing.assert_array_equal(sent(standing(20), CAMERA).labels, wanted.labels)
+    wanted, got = own(standing(22), CAMERA), sent(standing(22), CAMERA)
+    np.testing.assert_array_equal(got.labels, wanted.labels)
+    assert [body.track for body in got.bodies] == [body.track for body in wanted.bodies] == [1 if video else None]
     assert sent.of(CAMERA)[1] is sent.of(CAMERA)[1] is not own.of(CAMERA)[1]
 
 
