@@ -245,7 +245,7 @@ LARGEST_DOORS = {
     "bodyseg_model.networks": 30,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 33,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
     "bodyseg_model.recordings": 22,
-    "bodyseg_model.segmentation": 23,
+    "bodyseg_model.segmentation": 24,
     "bodyseg_data.samples": 33,
     "bodyseg_data.packing": 22,
 }
@@ -302,8 +302,8 @@ def test_rooms_have_no_cellars() -> None:
     assert folders == THIRD_LEVEL
     lines = {name: len(path.read_text().splitlines()) for name, path in wheel.items()}
     assert not {name: count for name, count in lines.items() if count > 520}
-    assert len(wheel) <= 253
-    assert sum(lines.values()) <= 47_650
+    assert len(wheel) <= 255
+    assert sum(lines.values()) <= 47_800
     loose = {entry.name for package in PACKAGES[:2] for entry in (ROOT / package).glob("*.*")}
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}
 

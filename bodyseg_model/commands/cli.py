@@ -9,6 +9,7 @@ from bodyseg_data.commands import main as run_command
 
 COMMANDS: Final[Commands] = {
     **SET_COMMANDS,
+    "cut": ("bodyseg_model.commands.cut", "cut people out of whole frames, into a set to train on"),
     "train": ("bodyseg_model.commands.train", "train a network on one variant of a set"),
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files, or as ONNX"),

@@ -6,6 +6,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.carried_labels import CarriedLabels
+    from bodyseg_model.segmentation.cutting import cut_people
     from bodyseg_model.segmentation.finder import Background, find_bodies
     from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame, LabelledRecording
     from bodyseg_model.segmentation.joints import JOINTS

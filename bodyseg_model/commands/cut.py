@@ -1,0 +1,73 @@
+"""`bodyseg cut`: people of whole frames, as `bodyseg segment` shows them to its network, as a set to train on."""
+
+import sys
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bodyseg_data import loading
+from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
+from bodyseg_data.commands import WHERE_HELP, Progress, option
+from bodyseg_data.packing import ShardWriter
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import Split, metres
+from bodyseg_data.shards import RIG_FIELD
+from bodyseg_model import networks, runtimes, segmentation, training
+
+EXAMPLE = "bodyseg cut --data rooms --sensor kinect_v1 --out people"
+
+
+@dataclass(frozen=True)
+class Options:
+    data: str = option("set of whole frames, as `shard --source rooms` packs them: folder or address", address=True)
+    out: Path = option("folder for the set of people; an interrupted run carries on there")
+    variant: VariantName = option("artifacts that the frames have", "all")
+    sensor: str = option("sensor model with the artifacts: the name of one that ships, or a TOML file", PAPER_SENSOR)
+    seed: int = option("seed of the artifacts", 0)
+    split: Split = option("split of the frames", "train")
+    where: tuple[str, ...] = option(WHERE_HELP, ())
+    rig: str = option("rig of the network to train, whose camera's images are written: a name or a .toml file", "paper")
+    finder: Path | None = option("network that finds people, a training's folder (default: the one that ships)", None)
+    threads: int | None = option(runtimes.THREADS_HELP, None)
+
+
+def run(options: Options) -> int:
+    """Write what a network would see of everybody who is found, with true labels."""
+    training.use_threads(options.threads)
+    sensor, where = options.sensor, options.where
+    wanted = options.data, options.variant, options.split, options.seed
+    frames = loading.RangeImages(*wanted, sensor=sensor, where=where, unlabelled=True)
+    finder = None if options.finder is None else networks.load_network(options.finder).network
+    rig, source = load_rig(options.rig), f"cut from {frames.manifest.source}"
+    # The frames' shadows are in what is cut: a projector that sees nothing casts no others.
+    lit = np.zeros((sum(each.rows for each in rig.projectors), rig.projector.columns), np.float32)
+    found, camera = 0, frames.manifest.rig.camera
+    empty = np.zeros((camera.rows, camera.columns), np.float32)
+    segmentation.find_bodies(empty, camera, segmentation.Background(), finder)  # what is no finder is refused now
+    with (
+        warnings.catch_warnings(record=True) as said,  # that the set was there
+        Progress("cutting", "frames") as progress,
+        ShardWriter(options.out, rig=rig, classes=frames.manifest.classes, source=source) as out,
+    ):
+        warnings.simplefilter("always")
+        for number in range(len(frames)):
+            frame, facts = frames.image(number), frames.describe(number)
+            camera = frames.manifest.rigs[facts.get(RIG_FIELD, 0)].camera
+            range_m = metres(frame.range, frames.step_m)
+            people = segmentation.cut_people(range_m, frame.labels, camera, rig, finder)
+            for person, (seen_m, labels) in enumerate(people):
+                out.write(
+                    key=f"{frame.key}-{person}",
+                    range_m=seen_m,
+                    labels=labels,
+                    projector_range_m=lit,
+                    split=facts["split"],
+                    fields={"frame": frame.key},
+                )
+                found += 1
+            progress.update(number + 1, len(frames))
+    sys.stderr.write("".join(f"{each.message}\n" for each in said))
+    sys.stdout.write(f"{options.out}: {found} people of {len(frames)} frames\n")
+    return 0
