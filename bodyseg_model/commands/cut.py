@@ -1,5 +1,7 @@
 """`bodyseg cut`: people of whole frames, as `bodyseg segment` shows them to its network, as a set to train on."""
 
+import hashlib
+import json
 import sys
 import warnings
 from dataclasses import dataclass
@@ -39,8 +41,11 @@ def run(options: Options) -> int:
     sensor, where = options.sensor, options.where
     wanted = options.data, options.variant, options.split, options.seed
     frames = loading.RangeImages(*wanted, sensor=sensor, where=where, unlabelled=True)
-    finder = None if options.finder is None else networks.load_network(options.finder).network
-    rig, source = load_rig(options.rig), f"cut from {frames.manifest.source}"
+    trained = networks.load_network(options.finder or networks.FINDER)
+    finder, rig = None if options.finder is None else trained.network, load_rig(options.rig)
+    # Of all that the people depend on, so that no set is carried on with other frames, artifacts or another finder.
+    of = json.dumps([frames.identity(), trained.card[networks.CardWords.WEIGHTS_SHA256]], sort_keys=True)
+    source = f"cut from {frames.manifest.source}, with digest {hashlib.sha256(of.encode()).hexdigest()[:12]}"
     # The frames' shadows are in what is cut: a projector that sees nothing casts no others.
     lit = np.zeros((sum(each.rows for each in rig.projectors), rig.projector.columns), np.float32)
     found, camera = 0, frames.manifest.rig.camera

@@ -88,8 +88,9 @@ def test_the_command_packs_a_set_to_train_on(tmp_path: Path, capsys: pytest.Capt
     np.testing.assert_array_equal(images.image(0).labels, cut.labels)
     assert cli.main(given) == 0
     assert "nothing was written" in capsys.readouterr().err
-    assert cli.main([*given, "--split", "test"]) == 2
-    assert "people holds a finished set" in capsys.readouterr().err
+    for others in (["--split", "test"], ["--variant", "noise"], ["--seed", "1"]):
+        assert cli.main([*given, *others]) == 2
+        assert "people already holds a set of shards packed with other options" in capsys.readouterr().err
 
 
 def test_what_cannot_be_cut_is_refused_in_one_line_and_leaves_nothing(
