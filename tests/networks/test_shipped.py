@@ -35,8 +35,9 @@ def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     ]  # fmt: skip
     assert [each.name for each in trained.sensor] == [each["artifact"] for each in artifacts]
     shares = card["mean_of"]
-    assert len(shares) == 2 and card["pretrained"]["weights_sha256"] == shares[0]["weights_sha256"]
-    assert shares[1]["command"] == card["command"] and shares[1]["commit"] == card["commit"]
+    assert [each["share"] for each in shares] == [0.5, 0.25, 0.25]
+    assert card["pretrained"]["weights_sha256"] == shares[0]["weights_sha256"]
+    assert shares[2]["command"] == card["command"] and shares[2]["commit"] == card["commit"]
     assert {"rig", "sensor", "weights_sha256"} <= card.keys()
     assert card["network"] == "compact"
     assert card["variant"] == "all"
