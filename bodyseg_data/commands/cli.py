@@ -11,6 +11,7 @@ import resource
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -66,7 +67,9 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
     if isinstance(sys.stdout, io.TextIOWrapper) and (sys.stdout.errors == "strict" or sys.stdout.encoding != "utf-8"):
         sys.stdout.reconfigure(errors="backslashreplace")  # a text may have letters that the terminal has not
-    before = _handle_signals()
+    before, plain = _handle_signals(), warnings.formatwarning
+    if not os.environ.get("BODYSEG_TRACEBACK"):  # without Python's file and line, which say nothing to a user
+        warnings.formatwarning = lambda message, *of, **more: f"{program}{name}: warning: {message}\n"
     try:
         status = _run(program, commands, name, words)
         sys.stdout.flush()
@@ -100,6 +103,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         what = f"{type(error).__name__}: {error}"
         return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
+        warnings.formatwarning = plain
         _came.clear()
         for number, action in before.items():
             if signal.getsignal(number) is _stop:  # else a signal is ending this process

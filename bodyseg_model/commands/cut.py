@@ -3,7 +3,6 @@
 import hashlib
 import json
 import sys
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,11 +51,9 @@ def run(options: Options) -> int:
     empty = np.zeros((camera.rows, camera.columns), np.float32)
     segmentation.find_bodies(empty, camera, segmentation.Background(), finder)  # what is no finder is refused now
     with (
-        warnings.catch_warnings(record=True) as said,  # that the set was there
-        Progress("cutting", "frames") as progress,
         ShardWriter(options.out, rig=rig, classes=frames.manifest.classes, source=source) as out,
+        Progress("cutting", "frames") as progress,
     ):
-        warnings.simplefilter("always")
         for number in range(len(frames)):
             frame, facts = frames.image(number), frames.describe(number)
             camera = frames.manifest.rigs[facts.get(RIG_FIELD, 0)].camera
@@ -73,6 +70,5 @@ def run(options: Options) -> int:
                 )
                 found += 1
             progress.update(number + 1, len(frames))
-    sys.stderr.write("".join(f"{each.message}\n" for each in said))
     sys.stdout.write(f"{options.out}: {found} people of {len(frames)} frames\n")
     return 0

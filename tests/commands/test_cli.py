@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import typing
+import warnings
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -280,6 +281,24 @@ def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
         main(["verify", "x"])
     monkeypatch.delenv("BODYSEG_TRACEBACK")
     assert main(["verify", "x"]) == 2
+
+
+def test_a_warning_is_one_line_without_a_place_in_the_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def warn(options: object) -> int:
+        sys.stderr.write(warnings.formatwarning("the disk is full", RuntimeWarning, "cache.py", 7))
+        return 0
+
+    monkeypatch.setattr(verify, "run", warn)
+    monkeypatch.delenv("BODYSEG_TRACEBACK", raising=False)
+    plain = warnings.formatwarning
+    assert main(["verify", "x"]) == 0
+    assert capsys.readouterr().err == "bodyseg verify: warning: the disk is full\n"
+    assert warnings.formatwarning is plain
+    monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
+    assert main(["verify", "x"]) == 0
+    assert capsys.readouterr().err == "cache.py:7: RuntimeWarning: the disk is full\n"
 
 
 def test_a_limit_of_threads_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

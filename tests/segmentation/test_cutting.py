@@ -86,8 +86,9 @@ def test_the_command_packs_a_set_to_train_on(tmp_path: Path, capsys: pytest.Capt
     (cut,) = cut_people(*room(34), LENS, PAPER)
     np.testing.assert_array_equal(images.image(0).range, np.rint(cut.range_m * 1000))  # shadows are the frame's own
     np.testing.assert_array_equal(images.image(0).labels, cut.labels)
-    assert cli.main(given) == 0
-    assert "nothing was written" in capsys.readouterr().err
+    with pytest.warns(UserWarning, match="nothing was written"):
+        assert cli.main(given) == 0
+    capsys.readouterr()
     for others in (["--split", "test"], ["--variant", "noise"], ["--seed", "1"]):
         assert cli.main([*given, *others]) == 2
         assert "people already holds a set of shards packed with other options" in capsys.readouterr().err
