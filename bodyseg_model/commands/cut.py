@@ -70,5 +70,5 @@ def run(options: Options) -> int:
                 )
                 found += 1
             progress.update(number + 1, len(frames))
-    sys.stdout.write(f"{options.out}: {found} people of {len(frames)} frames\n")
+    sys.stdout.write(f"{options.out}: {found} images of people in {len(frames)} frames\n")
     return 0

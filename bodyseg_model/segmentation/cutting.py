@@ -1,6 +1,7 @@
 """People of whole frames as the network that labels them sees them, with their true labels: images to train it on."""
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -37,8 +38,9 @@ def cut_people(
     what the finder takes for somebody and is so for at least half, in an image of the rig's camera.
 
     range_m, camera, finder: as of `find_bodies`. labels: uint8 [H, W], true classes of people's parts, 254 on other
-    surfaces, 255 where nothing was measured. A pixel has the label of the pixel of the frame that lies nearest. Of a
-    view that is larger than the image, the middle is taken. Raises as `find_bodies`; MissingLibrary without SciPy.
+    surfaces, 255 where nothing was measured. A pixel has the label of the pixel of the frame that lies nearest. A view
+    that is larger than the image, as of who lies, is yielded in as few windows as hold all of them. Raises as
+    `find_bodies`; MissingLibrary without SciPy.
     """
     required("scipy", "cutting people out of frames", "segment")
     from scipy.ndimage import distance_transform_edt
@@ -56,7 +58,15 @@ def cut_people(
         seen.ravel()[view.view_pixels] = own
         nearest = distance_transform_edt(seen == BACKGROUND, return_distances=False, return_indices=True)
         seen = np.where(view.range_m > 0, seen[tuple(nearest)], BACKGROUND)
-        top, left = (seen.shape[0] - rows) // 2, (seen.shape[1] - columns) // 2
-        window = np.s_[top : top + rows, left : left + columns]
-        if np.count_nonzero(seen[window] < UNLABELLED) >= _LEAST:
-            yield CutPerson(view.range_m[window], seen[window])
+        shown = seen != BACKGROUND
+        for window in product(_windows(shown.any(axis=1), rows), _windows(shown.any(axis=0), columns)):
+            if np.count_nonzero(seen[window] < UNLABELLED) >= _LEAST:
+                yield CutPerson(view.range_m[window], seen[window])
+
+
+def _windows(shown: NDArray[np.bool_], part: int) -> list[slice]:
+    """Parts of the lines of a view that hold all those shown: the middle, or as few as can be, evenly spaced."""
+    first, last = np.flatnonzero(shown)[[0, -1]]
+    spare, count = int(last + 1 - first) - part, -(-int(last + 1 - first) // part)
+    starts = [int(first) + spare * number // (count - 1) for number in range(count)] if count > 1 else []
+    return [slice(start, start + part) for start in starts or [(len(shown) - part) // 2]]
