@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import sys
 import time
 from collections import defaultdict
@@ -22,6 +21,7 @@ from bodyseg_data.artifacts import (
     Noise,
     SensorModel,
     VariantName,
+    kinds_of,
     load_sensor_model,
     parse_artifacts,
     sensor_for,
@@ -46,7 +46,9 @@ EXAMPLE = "bodyseg train --data shards --variant all --network compact --out run
 class Options:
     data: tuple[str, ...] = option("sets of shards to train on, their train splits: folders or addresses", address=True)
     out: Path = option("folder of this training, new or empty, for its log, checkpoints and network")
-    variant: VariantName = option("artifacts that the images have", "all")
+    variant: tuple[VariantName, ...] = option(
+        "artifacts that the images have: one for all sets, or each its own", ("all",)
+    )
     network: networks.NetworkName = option("network to train", "compact")
     weights: tuple[float, ...] = option("weight of each set (default: its number of samples)", (), heading="Images")
     samples: int | None = option("samples in an epoch (default: as many as the sets have together)", None)
@@ -129,15 +131,16 @@ def run(options: Options) -> int:
     validation = _validation(options)
     settings = parse_json(options.settings.encode(), "--settings")
     planes = (TEMPLATE,) if settings.get(TEMPLATE) else ()
-    sets = [_open(options, *pair, "train", planes) for pair in itertools.product(options.data, options.sensor)]
+    sets = _open(options, "train", planes)
     images = training.mixed(sets, options.weights, options.samples, options.seed)
     start = _start(options)
     network = _network(options, images.label_map, start, settings)
     pretrained = _pretrained(options, network, start, images)
     first_process = loading.find_rank()[0] == 0
-    clean = dict.fromkeys(each.augmentation.sensor.name for each in sets if not each.augmentation.applied)
-    for name in clean if first_process and options.variant != "none" else ():
-        sys.stderr.write(f"sensor {name} has no artifact of variant {options.variant}: images stay clean\n")
+    made = (each.augmentation for each in sets if each.augmentation.variant != "none")
+    clean = dict.fromkeys((each.sensor.name, each.variant) for each in made if not each.applied)
+    for name, variant in clean if first_process else ():
+        sys.stderr.write(f"sensor {name} has no artifact of variant {variant}: images stay clean\n")
     if options.resume and first_process and not (options.out / networks.RunFiles.CHECKPOINT).exists():
         sys.stderr.write(f"{options.out} has no checkpoint to resume: the training begins at its first step\n")
     with contextlib.ExitStack() as stack:
@@ -163,23 +166,31 @@ def run(options: Options) -> int:
     return 0
 
 
-def _open(
-    options: Options, address: str, sensor: str, split: ReadSplit, planes: tuple[str, ...] = ()
-) -> loading.RangeImages:
-    return loading.RangeImages(
-        address,
-        options.variant,
-        split,
-        options.seed,
-        sensor=_sensor(options, sensor),
-        only=options.only,
-        where=options.where,
-        val_share=options.val_share or 0.0,
-        labels=options.labels,
-        occluder=options.occluder,
-        planes=planes,
-        transform=[loading.Remnants(options.remnants)] if split == "train" and options.remnants else [],
-    )
+def _open(options: Options, split: ReadSplit, planes: tuple[str, ...] = ()) -> list[loading.RangeImages]:
+    """Every set, in its variant, with each of the sensors. Raises BadConfig."""
+    count = len(options.data)
+    if len(options.variant) not in (1, count):
+        raise BadConfig(f"--variant needs one for all sets or one for each, {count}, found {len(options.variant)}")
+    variants = options.variant * count if len(options.variant) == 1 else options.variant
+    remnants = [loading.Remnants(options.remnants)] if split == "train" and options.remnants else []
+    return [
+        loading.RangeImages(
+            address,
+            variant,
+            split,
+            options.seed,
+            sensor=_sensor(options, variant, sensor),
+            only=options.only,
+            where=options.where,
+            val_share=options.val_share or 0.0,
+            labels=options.labels,
+            occluder=options.occluder,
+            planes=planes,
+            transform=remnants,
+        )
+        for address, variant in zip(options.data, variants, strict=True)
+        for sensor in options.sensor
+    ]
 
 
 def _validation(options: Options) -> training.Validation | None:
@@ -194,14 +205,14 @@ def _validation(options: Options) -> training.Validation | None:
                 raise BadConfig(f"{flag} is for a training with images to validate on: give --val-share, like 0.1")
         return None
     return training.Validation(
-        [_open(options, *pair, "val") for pair in itertools.product(options.data, options.sensor)],
+        _open(options, "val"),
         training.DEFAULT_EVERY if options.val_every is None else options.val_every,
         options.val_images,
         options.keep or "best",
     )
 
 
-def _sensor(options: Options, name: str) -> SensorModel:
+def _sensor(options: Options, variant: VariantName, name: str) -> SensorModel:
     sensor = load_sensor_model(name)
     given: list[Artifact] = [*parse_artifacts(options.artifacts, "--artifacts", sensor)]
     if options.noise_mm is not None:
@@ -210,7 +221,9 @@ def _sensor(options: Options, name: str) -> SensorModel:
         given.append(MissingData(options.missing))
     if options.losses is not None:
         given.append(Losses(options.losses))
-    return sensor_for(options.variant, sensor, given)
+    # What another set's variant has is for that set; what none has is refused.
+    others = {kind for each in options.variant for kind in kinds_of(each)}.difference(kinds_of(variant))
+    return sensor_for(variant, sensor, [each for each in given if each.kind not in others])
 
 
 def _start(options: Options) -> networks.Trained | None:

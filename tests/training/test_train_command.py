@@ -87,6 +87,25 @@ def test_a_variant_that_a_sensor_has_nothing_for_is_said(
         assert capsys.readouterr().err.count(line) == count
 
 
+def test_each_set_may_have_a_variant_of_its_own(
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*VALIDATED, "--steps", "1", "--data", str(small_set), "--noise-mm", "20"]
+    assert main(command(small_set, tmp_path / "run", *words, "--variant", "all", "none")) == 0
+    plan = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert plan["variant"] == "all, none"
+    noisy, clean = plan["data"]["mixture"]
+    assert (noisy["variant"], noisy["artifacts"][1]["high_mm"]) == ("all", 20)
+    assert (clean["variant"], clean["artifacts"][1]["high_mm"]) == ("none", 100)
+    for variants, message in (
+        (["all", "none", "md"], "--variant needs one for all sets or one for each, 2, found 3"),
+        (["md", "none"], "a strength of noise is for a variant that has noise, found variant 'md'"),
+    ):
+        capsys.readouterr()
+        assert main(command(small_set, tmp_path / "bad", *words, "--variant", *variants)) == 2
+        assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -47,7 +47,7 @@ def trained_by_command(data: Path, out: Path, variant: str) -> None:
     options = train_command.Options(
         (str(data),),
         out,
-        variant,
+        (variant,),
         steps=STEPS,
         batch_size=2,
         settings=SETTINGS,
