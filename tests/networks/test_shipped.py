@@ -52,9 +52,10 @@ def test_the_large_network_says_where_it_is_from_and_how_good_it_is() -> None:
     assert compact == load_network().card
     for name in ("rig", "sensor", "variant", "network"):
         assert large[name] == compact[name], name
-    before, after = large["mean_of"]
-    assert before["mean_of"][0]["pretrained"] is None and large["recipe"]["optimiser"] == "muon"
-    assert large["pretrained"]["file"] == "large" and before["share"] + after["share"] == 1
+    before = large["mean_of"][0]
+    assert before["mean_of"][0]["mean_of"][0]["pretrained"] is None and large["recipe"]["optimiser"] == "muon"
+    assert large["pretrained"] == {"file": "large", "weights_sha256": before["weights_sha256"]}
+    assert sum(each["share"] for each in large["mean_of"]) == 1
     for name in ("command", "commit", "hardware", "data", "least_confidence_of_people"):
         assert large[name], name
     scores = [card["scores"]["average_per_class_accuracy"] for card in (compact, large)]
