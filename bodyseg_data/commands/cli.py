@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         sys.stdout.reconfigure(errors="backslashreplace")  # a text may have letters that the terminal has not
     before, plain = _handle_signals(), warnings.formatwarning
     if not os.environ.get("BODYSEG_TRACEBACK"):  # without Python's file and line, which say nothing to a user
-        warnings.formatwarning = lambda message, *of, **more: f"{program}{name}: warning: {message}\n"
+        warnings.formatwarning = lambda text, *of, **more: _line(f"{program}{name}", f"warning: {text}")
     try:
         status = _run(program, commands, name, words)
         sys.stdout.flush()
@@ -176,8 +176,12 @@ def load_command(place: str) -> Command:
 
 def _say(command: str, message: str, status: int) -> int:
     with contextlib.suppress(OSError):  # standard error is closed
-        sys.stderr.write(f"{command.strip()}: {' '.join(message.split())}\n")
+        sys.stderr.write(_line(command, message))
     return status
+
+
+def _line(command: str, message: str) -> str:
+    return f"{command.strip()}: {' '.join(message.split())}\n"
 
 
 def _overview(program: str, commands: Commands, group: str = "") -> str:

@@ -124,7 +124,7 @@ BACKEND_HELP: Final = (
     "takes 0.8 to 1.0 times as long as torch in the same precision"
 )
 FLIP_HELP: Final = (
-    "average with labels of the mirror image: 0.6 points more on real people, in 1.5 to 2 times the network's time"
+    "average with labels of the mirror image: 0.7 points more on real people, in 1.5 to 2 times the network's time"
 )
 PRECISION_HELP: Final = "number type in which the network computes (default: float32)"
 QUICK_PRECISION_HELP: Final = (

@@ -136,7 +136,7 @@ def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: Sen
     assert summarise(images)["mean_dot_share"] == pytest.approx(0.4, abs=0.2)
     given = '{"dots": {"most": 0.3}, "noise": {"high_mm": 7}}'
     options = train.Options(("data",), Path("run"), artifacts=given, losses=0.2)
-    assert train._sensor(options, "paper") == PAPER.with_artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
+    assert train._sensor(options, "all", "paper") == PAPER.with_artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
     evaluated = open_images(str(figures_set), "noise", noise_mm=4, artifacts=(Dots(0.1),))
     assert evaluated.augmentation.sensor == PAPER.with_artifacts(Noise(4, 4), Dots(0.1))
 

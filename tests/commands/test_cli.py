@@ -287,7 +287,7 @@ def test_a_warning_is_one_line_without_a_place_in_the_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def warn(options: object) -> int:
-        sys.stderr.write(warnings.formatwarning("the disk is full", RuntimeWarning, "cache.py", 7))
+        sys.stderr.write(warnings.formatwarning("the disk\nis full", RuntimeWarning, "cache.py", 7))
         return 0
 
     monkeypatch.setattr(verify, "run", warn)
@@ -298,7 +298,7 @@ def test_a_warning_is_one_line_without_a_place_in_the_code(
     assert warnings.formatwarning is plain
     monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
     assert main(["verify", "x"]) == 0
-    assert capsys.readouterr().err == "cache.py:7: RuntimeWarning: the disk is full\n"
+    assert capsys.readouterr().err == "cache.py:7: RuntimeWarning: the disk\nis full\n"
 
 
 def test_a_limit_of_threads_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
