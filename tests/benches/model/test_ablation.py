@@ -122,8 +122,8 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
     for each in ROWS:
         if each.arguments is not None:
             options = parse(train.Options, ["--data", "x", "--out", "y", *each.arguments], "train", "", "")
-            sensor = train._sensor(options, options.sensor[0])
-            assert (options.variant, options.only, sensor) == (each.variant, each.only, each.sensor), each
+            sensor = train._sensor(options, each.variant, options.sensor[0])
+            assert (options.variant, options.only, sensor) == ((each.variant,), each.only, each.sensor), each
             assert json.loads(options.settings) == each.settings
 
 
