@@ -62,6 +62,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = " ".join(words[:2])  # of a command in a group, such as `sensor fit`
     name, words = (name, words[2:]) if name in commands else ("".join(words[:1]), words[1:])
+    command = f"{program}{name}"
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the parent process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         sys.stdout.reconfigure(errors="backslashreplace")  # a text may have letters that the terminal has not
     before, plain = _handle_signals(), warnings.formatwarning
     if not os.environ.get("BODYSEG_TRACEBACK"):  # without Python's file and line, which say nothing to a user
-        warnings.formatwarning = lambda text, *of, **more: _line(f"{program}{name}", f"warning: {text}")
+        warnings.formatwarning = lambda text, *of, **more: _line(command, f"warning: {text}")
     try:
         status = _run(program, commands, name, words)
         sys.stdout.flush()
@@ -79,11 +80,11 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         return 141
     except _interrupt():
         number = _came[0] if _came else signal.SIGINT
-        return _say(f"{program}{name}", _ENDINGS[number], 128 + number)
+        return _say(command, _ENDINGS[number], 128 + number)
     except BodysegError as error:
         if os.environ.get("BODYSEG_TRACEBACK") and hasattr(error, "__notes__"):  # of a user's code, or in a worker
             raise
-        return _say(f"{program}{name}", str(error), 2)
+        return _say(command, str(error), 2)
     except OSError as error:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
@@ -92,16 +93,16 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         except OSError:
             _leave_stdout()
         where = f"{error.filename}: " if error.filename else ""
-        return _say(f"{program}{name}", f"{where}{error.strerror or error}", 2)
+        return _say(command, f"{where}{error.strerror or error}", 2)
     except Exception as error:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
         if isinstance(error, UnicodeEncodeError) and error.encoding == "utf-8":  # of a library that opens files itself
-            return _say(f"{program}{name}", f"a path must be UTF-8 here, found {error.object!r:.200}", 2)
+            return _say(command, f"a path must be UTF-8 here, found {error.object!r:.200}", 2)
         if str(error) == "can't start new thread":
-            return _say(f"{program}{name}", "no thread can be started: ulimit -u or the container allows no more", 2)
+            return _say(command, "no thread can be started: ulimit -u or the container allows no more", 2)
         what = f"{type(error).__name__}: {error}"
-        return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
+        return _say(command, f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
         warnings.formatwarning = plain
         _came.clear()

@@ -66,7 +66,11 @@ def cut_people(
 
 def _windows(shown: NDArray[np.bool_], part: int) -> list[slice]:
     """Parts of the lines of a view that hold all those shown: the middle, or as few as can be, evenly spaced."""
-    first, last = np.flatnonzero(shown)[[0, -1]]
-    spare, count = int(last + 1 - first) - part, -(-int(last + 1 - first) // part)
-    starts = [int(first) + spare * number // (count - 1) for number in range(count)] if count > 1 else []
-    return [slice(start, start + part) for start in starts or [(len(shown) - part) // 2]]
+    first, last = map(int, np.flatnonzero(shown)[[0, -1]])
+    length = last + 1 - first
+    more = (length - 1) // part  # windows beside the first
+    if not more:
+        starts = [(len(shown) - part) // 2]
+    else:
+        starts = [first + (length - part) * number // more for number in range(more + 1)]
+    return [slice(start, start + part) for start in starts]
