@@ -44,9 +44,9 @@ ROOMS: Final = "rooms"
 _OF_ALL: Final = ("source", "out", "codec", "shard_samples", "workers", "plan")
 _TAKEN: Final = {
     RENDERS: ("path", "layout", "projector"),
-    ROOMS: ("rig", "units", "up", "samples", "split", "kinds", "without", "scene"),
+    ROOMS: ("rig", "units", "up", "poses", "samples", "split", "kinds", "without", "scene"),
 }
-_ALSO: Final = ("path", "rig", "units", "up")  # options of `_TAKEN` that sources of bodies have, too
+_ALSO: Final = ("path", "rig", "units", "up", "poses")  # options of `_TAKEN` that sources of bodies have, too
 _WHY: Final = {
     RENDERS: "they are finished scenes, with rig and classes of their own",
     ROOMS: "all in them is drawn by their keys",
@@ -213,7 +213,7 @@ def _run_rooms(options: Options) -> int:
         counts |= {} if own is None else {"scene": [name for name, _ in own.surfaces()]}
         sys.stdout.write(json.dumps(counts, indent=2) + "\n")
         return 0
-    given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds, own
+    given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds, own, options.poses
     how = options.codec, options.shard_samples, options.workers
     _said(options, "rooms", lambda progress: pack_rooms(*given, *how, progress.update))
     return 0

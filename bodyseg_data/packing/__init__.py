@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from bodyseg_data.packing.jobs import processes
     from bodyseg_data.packing.joining import join
     from bodyseg_data.packing.mesh_reduction import reduced_body
-    from bodyseg_data.packing.options import Packing
+    from bodyseg_data.packing.options import Packing, in_poses
     from bodyseg_data.packing.packer import pack, plan
     from bodyseg_data.packing.render_packing import pack_renders
     from bodyseg_data.packing.sampler import Sampler

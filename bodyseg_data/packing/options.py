@@ -73,12 +73,9 @@ class Packing:
         with reported(f"source {self.source!r}", BadConfig, BadSample):  # here, not when the body's turn comes
             for body in bodies:
                 check_key(body_key(self.source, body))
-        wanted = [body for body in bodies if not self.poses or any(fnmatchcase(body.pose, each) for each in self.poses)]
         if not bodies:
             raise BadConfig(f"the source {self.source!r} has no bodies")
-        if not wanted:
-            names = ", ".join(collapsed(sorted({body.pose for body in bodies})))
-            raise BadConfig(f"no body of {self.source} has a pose like {' or '.join(self.poses)}; its poses: {names}")
+        wanted = in_poses(bodies, self.poses, self.source)
         return evenly_sampled(wanted, self.meshes)
 
     def views_of(self, body: BodyRef) -> Iterator[View]:
@@ -95,6 +92,18 @@ class Packing:
 def classes_from(source: BodySource) -> Classes:
     """Return the classes of a source's labels: the 33 parts, unless it has the attribute `classes`."""
     return getattr(source, "classes", PART_CLASSES)
+
+
+def in_poses(bodies: Sequence[BodyRef], poses: Sequence[str], source: str) -> list[BodyRef]:
+    """Return the bodies whose pose fits one of some shell patterns; all without any. source: for the message.
+
+    Raises BadConfig if none does.
+    """
+    wanted = [body for body in bodies if not poses or any(fnmatchcase(body.pose, each) for each in poses)]
+    if not wanted:
+        names = ", ".join(collapsed(sorted({body.pose for body in bodies})))
+        raise BadConfig(f"no body of {source} has a pose like {' or '.join(poses)}; its poses: {names}")
+    return wanted
 
 
 def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:

@@ -13,12 +13,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from bodyseg_data.bodies import Units, UpAxis, open_source
+from bodyseg_data.bodies import BodyRef, BodySource, Units, UpAxis, open_source
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, check_int, reported, silent
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.meshes import Borders, Mesh, Partition, Solid
-from bodyseg_data.packing import STATE_NAME, ShardWriter, processes, reduced_body
+from bodyseg_data.packing import STATE_NAME, ShardWriter, in_poses, processes, reduced_body
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.rooms.furnishings import FURNISHINGS
 from bodyseg_data.rooms.scenes import Room, RoomPerson
@@ -92,6 +92,7 @@ def pack_rooms(
     split: Split = "train",
     kinds: tuple[str, ...] = tuple(FURNISHINGS),
     own: OwnThings | None = None,
+    poses: tuple[str, ...] = (),
     codec: CodecName = "bsi",
     shard_samples: int = 1080,
     workers: int | None = None,
@@ -100,7 +101,8 @@ def pack_rooms(
     """Pack made rooms into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
     split: of all samples, with people of "wide" and "everyday", or for test of "open" and "hard"; the plane "person"
-    numbers them from 1. own: further things. workers: processes, one a processor if None. Raises BadConfig, as
+    numbers them from 1. own: further things. poses: shell patterns; if there are any, people are in poses that fit one.
+    workers: processes, one a processor if None. Raises BadConfig, also where nobody has such a pose, as
     `OwnThings.surfaces`, and as `ShardWriter`; MissingLibrary without pymeshlab.
     """
     order = sorted(
@@ -110,6 +112,9 @@ def pack_rooms(
     keys = {f"room-{split}-{room:06d}": room for room in order}
     lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
     source = f"rooms without {lacking}" if lacking else "rooms"
+    if poses:
+        source += f", people in poses {' '.join(poses)}"
+        _people_of(split, poses)
     digest = "" if own is None else own.digest()
     if own is not None:
         _things_of(own, digest)  # read before anything is written
@@ -135,14 +140,21 @@ def pack_rooms(
             raise BadConfig(f"{out} holds rooms of another number or split: choose another folder, or delete it")
         progress(sum(key in writer for key in keys), samples)
         new = {key: room for key, room in keys.items() if key not in writer}
-        writer.write_all(new, partial(_made, rig, split, kinds, own, digest, (out / STATE_NAME).absolute()))
+        writer.write_all(new, partial(_made, rig, split, kinds, own, digest, poses, (out / STATE_NAME).absolute()))
     return read_manifest(out)
 
 
 def _made(
-    rig: Rig, split: Split, kinds: tuple[str, ...], own: OwnThings | None, digest: str, state: Path, room: int
+    rig: Rig,
+    split: Split,
+    kinds: tuple[str, ...],
+    own: OwnThings | None,
+    digest: str,
+    poses: tuple[str, ...],
+    state: Path,
+    room: int,
 ) -> dict[str, Any]:
-    people, things = _shared_people(state, split, room // _BLOCK), () if own is None else _things_of(own, digest)
+    people, things = _shared_people(state, split, poses, room // _BLOCK), () if own is None else _things_of(own, digest)
     made = vars(Room(f"room-{split}-{room:06d}", rig, people, kinds, own=things).render(split))
     return {name: made[name] for name in made if name != "key"}
 
@@ -154,12 +166,12 @@ def _things_of(own: OwnThings, _digest: str) -> list[tuple[str, Solid]]:
 
 
 @lru_cache(_AT_ONCE)
-def _shared_people(state: Path, split: Split, block: int) -> list[RoomPerson]:
+def _shared_people(state: Path, split: Split, poses: tuple[str, ...], block: int) -> list[RoomPerson]:
     path = state / f"people-{split}-{block:04d}"
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
-            write_atomically(path, _arrays(draw_people(split, block)))
+            write_atomically(path, _arrays(draw_people(split, block, poses)))
     damaged = reported(f"{path} cannot be read: delete it", BadConfig, Exception)  # whatever a damaged zip raises
     with damaged, np.load(BytesIO(path.read_bytes()), allow_pickle=False) as held:
         return [_person(*(held[f"{number} {name}"] for name in _NAMES)) for number in range(len(held) // len(_NAMES))]
@@ -181,17 +193,27 @@ def _person(words: Any, vertices: Any, faces: Any, labels: Any, distance: Any, s
     return RoomPerson(Mesh(str(words[0]), vertices, faces), parts, str(words[1]))
 
 
-def draw_people(split: Split, block: int) -> list[RoomPerson]:
-    """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m."""
+def _people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, list[BodyRef]]]:
+    """Sources of people, and their bodies in such poses; those of no source that has none. Raises BadConfig."""
+    sources = [open_source(name) for name in _SOURCES[split]]
+    bodies = [(source, body) for source in sources for body in source.bodies() if body.split == split]
+    chosen = {*in_poses([body for _, body in bodies], poses, " and ".join(_SOURCES[split]))}
+    found = [(source, [body for own, body in bodies if own is source and body in chosen]) for source in sources]
+    return [each for each in found if each[1]]
+
+
+def draw_people(split: Split, block: int, poses: tuple[str, ...] = ()) -> list[RoomPerson]:
+    """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m. poses: as of
+    `pack_rooms`. Raises as that.
+    """
     # Not of `Draws`: rooms of the sets that are there have these people.
     rng, rig = np.random.default_rng((7, block, split == "train")), load_rig()
     found: list[RoomPerson] = []
-    sources = [open_source(name) for name in _SOURCES[split]]
-    listed = [[body for body in source.bodies() if body.split == split] for source in sources]
+    listed = _people_of(split, poses)
     while len(found) < _PEOPLE:
-        which = int(rng.random() < 0.4)  # of five, two are of the second source
-        body = listed[which][int(rng.integers(len(listed[which])))]
+        source, bodies = listed[min(int(rng.random() < 0.4), len(listed) - 1)]  # of five, two are of the second source
+        body = bodies[int(rng.integers(len(bodies)))]
         with suppress(BadMesh, BadLandmarks):  # another one is drawn
-            built = reduced_body(sources[which].build(body), 1.0, rig, 150, (0,), False)
+            built = reduced_body(source.build(body), 1.0, rig, 150, (0,), False)
             found.append(RoomPerson(built.mesh, built.partition(), body.pose))
     return found

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
 from bodyseg_data.commands import WHERE_HELP, Progress, option
 from bodyseg_data.packing import ShardWriter
-from bodyseg_data.rigs import load_rig
+from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import Split, metres
 from bodyseg_data.shards import RIG_FIELD
 from bodyseg_model import networks, runtimes, segmentation, training
@@ -30,6 +30,9 @@ class Options:
     split: Split = option("split of the frames", "train")
     where: tuple[str, ...] = option(WHERE_HELP, ())
     rig: str = option("rig of the network to train, whose camera's images are written: a name or a .toml file", "paper")
+    larger: tuple[int, int] | None = option(
+        "rows and columns of images of those people alone who are larger than the rig's images, as whoever lies", None
+    )
     finder: Path | None = option("network that finds people, a training's folder (default: the one that ships)", None)
     threads: int | None = option(runtimes.THREADS_HELP, None)
 
@@ -42,6 +45,7 @@ def run(options: Options) -> int:
     frames = loading.RangeImages(*wanted, sensor=sensor, where=where, unlabelled=True)
     trained = networks.load_network(options.finder or networks.FINDER)
     finder, rig = None if options.finder is None else trained.network, load_rig(options.rig)
+    images = rig if options.larger is None else _with_images(rig, *options.larger)
     # Of all that the people depend on, so that no set is carried on with other frames, artifacts or another finder.
     of = json.dumps([frames.identity(), trained.card[networks.CardWords.WEIGHTS_SHA256]], sort_keys=True)
     source = f"cut from {frames.manifest.source}, with digest {hashlib.sha256(of.encode()).hexdigest()[:12]}"
@@ -51,14 +55,14 @@ def run(options: Options) -> int:
     empty = np.zeros((camera.rows, camera.columns), np.float32)
     segmentation.find_bodies(empty, camera, segmentation.Background(), finder)  # what is no finder is refused now
     with (
-        ShardWriter(options.out, rig=rig, classes=frames.manifest.classes, source=source) as out,
+        ShardWriter(options.out, rig=images, classes=frames.manifest.classes, source=source) as out,
         Progress("cutting", "frames") as progress,
     ):
         for number in range(len(frames)):
             frame, facts = frames.image(number), frames.describe(number)
             camera = frames.manifest.rigs[facts.get(RIG_FIELD, 0)].camera
             range_m = metres(frame.range, frames.step_m)
-            people = segmentation.cut_people(range_m, frame.labels, camera, rig, finder)
+            people = segmentation.cut_people(range_m, frame.labels, camera, rig, finder, options.larger)
             for person, (seen_m, labels) in enumerate(people):
                 out.write(
                     key=f"{frame.key}-{person}",
@@ -72,3 +76,8 @@ def run(options: Options) -> int:
             progress.update(number + 1, len(frames))
     sys.stdout.write(f"{options.out}: {found} images of people in {len(frames)} frames\n")
     return 0
+
+
+def _with_images(rig: Rig, rows: int, columns: int) -> Rig:
+    """The rig with images of that size, the optical axis in their middle. Raises BadConfig."""
+    return replace(rig, camera=replace(rig.camera, rows=rows, columns=columns, centre_px=(columns / 2, rows / 2)))

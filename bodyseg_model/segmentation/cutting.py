@@ -33,19 +33,22 @@ def cut_people(
     camera: Camera,
     rig: Rig,
     finder: Network | None = None,
+    larger: tuple[int, int] | None = None,
 ) -> Iterator[CutPerson]:
     """Yield the people in a frame, the largest first, as `Segmenter` shows them to a network that is trained for `rig`:
     what the finder takes for somebody and is so for at least half, in an image of the rig's camera.
 
     range_m, camera, finder: as of `find_bodies`. labels: uint8 [H, W], true classes of people's parts, 254 on other
     surfaces, 255 where nothing was measured. A pixel has the label of the pixel of the frame that lies nearest. A view
-    that is larger than the image, as of who lies, is yielded in as few windows as hold all of them. Raises as
-    `find_bodies`; MissingLibrary without SciPy.
+    that is larger than the image, as of who lies, is yielded in as few windows as hold all of them. larger: rows and
+    columns of the image; only people who are larger than the camera's are then yielded. Raises as `find_bodies`;
+    MissingLibrary without SciPy.
     """
     required("scipy", "cutting people out of frames", "segment")
     from scipy.ndimage import distance_transform_edt
 
-    rows, columns = rig.camera.rows, rig.camera.columns
+    own_size = rig.camera.rows, rig.camera.columns
+    rows, columns = larger or own_size
     for found in find_bodies(range_m, camera, Background(), finder):
         own = labels.ravel()[found.pixels]
         if 2 * np.count_nonzero(own < UNLABELLED) < len(own):
@@ -58,10 +61,16 @@ def cut_people(
         seen.ravel()[view.view_pixels] = own
         nearest = distance_transform_edt(seen == BACKGROUND, return_distances=False, return_indices=True)
         seen = np.where(view.range_m > 0, seen[tuple(nearest)], BACKGROUND)
+        spare = [max(0, wanted - there) for wanted, there in zip((rows, columns), seen.shape, strict=True)]
+        around = [(each // 2, each - each // 2) for each in spare]  # of views that `larger` images hold
+        seen_m, seen = np.pad(view.range_m, around), np.pad(seen, around, constant_values=BACKGROUND)
         shown = seen != BACKGROUND
-        for window in product(_windows(shown.any(axis=1), rows), _windows(shown.any(axis=0), columns)):
+        down, across = shown.any(axis=1), shown.any(axis=0)
+        if larger and len(_windows(down, own_size[0])) * len(_windows(across, own_size[1])) == 1:
+            continue
+        for window in product(_windows(down, rows), _windows(across, columns)):
             if np.count_nonzero(seen[window] < UNLABELLED) >= _LEAST:
-                yield CutPerson(view.range_m[window], seen[window])
+                yield CutPerson(seen_m[window], seen[window])
 
 
 def _windows(shown: NDArray[np.bool_], part: int) -> list[slice]:

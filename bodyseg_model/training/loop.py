@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import itertools
 import json
 import math
 import warnings
@@ -23,11 +22,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from bodyseg_data import Mixture, RangeImages, load_template, loader
+from bodyseg_data import RangeImages, load_template
 from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, check_class, reported, signals_held
 from bodyseg_data.files import claimed, last_name
 from bodyseg_data.labels import PARTS33, TEMPLATE, UNLABELLED
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, WorkerMethod
 from bodyseg_data.machine import peak_mb
 from bodyseg_model.networks import (
     CardWords,
@@ -45,10 +44,11 @@ from bodyseg_model.networks import (
 )
 from bodyseg_model.training.augmentation import augmented, signed_numbers
 from bodyseg_model.training.distributed import ProcessGroup, joined_process_group
-from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
+from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 from bodyseg_model.training.optimisers import fill_optimisers, make_optimisers, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.plan import Best, RunFolder, training_plan
 from bodyseg_model.training.recipes import Recipe, recipe_for
+from bodyseg_model.training.turns import TurnLoader, Turns, Weighted
 from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWindow, Report, Validation
 
 
@@ -57,10 +57,11 @@ class Diverged(BodysegError):
 
 
 _OPTIMISER: Final = "optimiser."  # prefix of the optimisers' tensors in a checkpoint
+_START: Final = "start."  # of the weights that a training started from
 
 
 def train(
-    images: ImageSet,
+    images: ImageSet | Sequence[Weighted],
     out: Path | str,
     network: Network | NetworkName = "compact",
     recipe: Recipe | None = None,
@@ -79,6 +80,8 @@ def train(
         images = RangeImages("shards", variant="all", split="train")
         trained = train(images, "runs/all-0", recipe=recipe_for("compact", steps=2000))
 
+    images: `RangeImages`, a `Mixture`, or a list of (images, weight) of several of them, which may differ in size: each
+    batch is of one of them, in turns by their weights.
     out: the run's folder, new or empty: plan, log, checkpoints, network. `load_network(out)` loads the network again.
     network: a name, for one of as many classes as the images' label map, with weights drawn for `seed`; or a network of
     a registered class, whose weights a copy starts from. recipe: None for the network's own.
@@ -96,17 +99,17 @@ def train(
     `resume`; a network of other classes than the images or of no registered class; batches that cannot be divided
     evenly between the processes; or a device that is absent; Diverged for a loss that is not finite; and as `loader`.
     """
-    if not isinstance(images, ImageSet):
-        raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
+    turns = Turns(images)
+    sets, label_map = turns.sets, turns.label_map
     check_class("recipe", recipe, Recipe, NoneType)
     check_class("validation", validation, Validation, NoneType)
     check_class("run_options", run_options, RunOptions, NoneType)
-    if any(each.split is None and each.manifest.samples("test") for each in images.sets):
+    if any(each.split is None and each.manifest.samples("test") for each in sets):
         warnings.warn("images to train on include the test split: open them with split='train'", stacklevel=2)
-    if validation is not None and (both := _bodies(images.sets) & _bodies(validation.images)):
+    if validation is not None and (both := _bodies(sets) & _bodies(validation.images)):
         shown = f"{len(both)} bodies named as those trained on, like {' '.join(min(both))!r}"
         warnings.warn(f"images to validate on show {shown}: if they are the same, scores are too high", stacklevel=2)
-    classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
+    classes = {} if label_map == PARTS33 else {"classes": len(label_map)}
     network = build(network, classes, seed) if isinstance(network, str) else copy.deepcopy(network)
     name = name_of(network)
     folder = RunFolder(Path(out))
@@ -115,7 +118,7 @@ def train(
         options = seed, run_options, validation, pretrained
         training = Training(network, name, images, recipe, folder, processes, *options)
         with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
-            read_from = [last_name(each.path) for each in images.sets]  # cards are published
+            read_from = [last_name(each.path) for each in sets]  # cards are published
             facts = {"read_from": read_from, **(facts or {})}
             with reported("facts must be plain JSON", BadConfig, TypeError, ValueError):  # now, not at the end
                 json.dumps(facts)
@@ -158,7 +161,7 @@ class Training:
         self,
         network: Network,
         name: str,
-        images: ImageSet,
+        images: ImageSet | Sequence[Weighted],
         recipe: Recipe,
         folder: RunFolder,
         processes: ProcessGroup,
@@ -167,35 +170,36 @@ class Training:
         validation: Validation | None = None,
         pretrained: Mapping[str, Any] | None = None,
     ) -> None:
+        turns = Turns(images)
         if recipe.batch_size % processes.world_size:
             raise BadConfig(
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
         if kinds := {torch.get_default_dtype(), *(each.dtype for each in network.parameters())} - {torch.float32}:
             raise BadConfig(f"weights and torch.get_default_dtype() must be float32 in training, found {kinds.pop()}")
-        check_label_map(network, images.label_map)
+        check_label_map(network, turns.label_map)
         held_out = () if validation is None else validation.images
-        for each in (*images.sets, *held_out):
+        for each in (*turns.sets, *held_out):
             if each.unlabelled == UNLABELLED and not each.label_map.has_rest:
                 raise BadConfig("images to train on have no class for surfaces of none: open them without unlabelled")
-            if (differing := images.label_map.difference(each.label_map)) is not None:
-                raise BadConfig(f"images to validate on must have the classes of those to train on, found {differing}")
+            if (differing := turns.label_map.difference(each.label_map)) is not None:
+                raise BadConfig(f"all images of a training must have the same classes, found {differing}")
         # Whether there is a pair asks for mirror images first, which raises, and says for which class there is none.
-        if recipe.mirror and (alike := images.label_map.unpaired):
+        if recipe.mirror and (alike := turns.label_map.unpaired):
             no_pair = "are no pair, but half of images are mirrored: say mirror in the set's classes, or --no-mirror"
             warnings.warn(f"classes {' and '.join(alike)} {no_pair}", stacklevel=2)
         if network.on_template:
-            check_template(images)
+            check_template(turns)
         if recipe.only_places:
             if not network.on_template:
                 raise BadConfig(f"only_places needs a network of the setting {TEMPLATE!r}, found a {name} without")
             network.requires_grad_(False).get_submodule(TEMPLATE).requires_grad_(True)
-        self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
+        self.name, self.images, self.recipe, self.folder = name, turns, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimisers = make_optimisers(self.network, recipe)
         self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
-        self.result = self.network if self.averaged is None else self.averaged.network  # what is validated and saved
+        self._start = {name: each.clone() for name, each in network.state_dict().items()} if recipe.start_share else {}
         self.validation, self.pretrained = validation, pretrained
         self.step = 0
         self._best: Best | None = None
@@ -216,14 +220,14 @@ class Training:
         pin = self.processes.device.type == "cuda"
         workers, method = self.run_options.num_workers, self.run_options.worker_method
         order: Literal["blocks"] | None = "blocks" if self.recipe.shuffle == "blocks" else None
-        data_loader = loader(self.images, batch, workers, order, drop_last=True, pin_memory=pin, worker_method=method)
+        data_loader = self.images.loader(batch, workers, order, drop_last=True, pin_memory=pin, worker_method=method)
         if loader_state is not None:
             data_loader.load_state_dict(loader_state)
         objective = self._objective()
         self.network.train(not self.recipe.only_places)
         window = MetricsWindow(self.processes, self.network.classes)
         self._loaded = data_loader.stats()
-        batches = itertools.chain.from_iterable(itertools.repeat(data_loader))  # epoch after epoch
+        batches = iter(data_loader)
         whole = True
         try:
             while self.step < self.recipe.steps:
@@ -245,7 +249,7 @@ class Training:
             self._save(facts)
 
     def _logged(
-        self, window: MetricsWindow, data_loader: Loader, report: Report, facts: Mapping[str, Any]
+        self, window: MetricsWindow, data_loader: TurnLoader, report: Report, facts: Mapping[str, Any]
     ) -> MetricsWindow:
         """Validate and log after a step for which that is due; returns the window of the next step."""
         if self.step == 1 and self.processes.first:
@@ -282,35 +286,51 @@ class Training:
             if self.averaged is not None:
                 self.averaged.network.load_state_dict(checkpoint.part(Checkpoint.AVERAGED))
         fill_optimisers(self.optimisers, checkpoint.part(_OPTIMISER))
+        if self._start:  # not those that were given, which may be named once only
+            self._start = {name: each.to(self.processes.device) for name, each in checkpoint.part(_START).items()}
         self.step = checkpoint.step
         if self.validation is not None:
             self._best = self.folder.best() if self.processes.first else None
         return checkpoint.loader_state
 
-    def _checkpoint(self, data_loader: Loader) -> Checkpoint:
+    def _checkpoint(self, data_loader: TurnLoader) -> Checkpoint:
         parts = {Checkpoint.TRAINED: self.network.state_dict(), _OPTIMISER: optimiser_tensors(self.optimisers)}
+        parts |= {_START: self._start} if self._start else {}
         if self.averaged is not None:
             parts[Checkpoint.AVERAGED] = self.averaged.network.state_dict()
         tensors = {f"{prefix}{name}": tensor for prefix, part in parts.items() for name, tensor in part.items()}
         return Checkpoint(self.step, data_loader.state_dict(), tensors)
 
+    def result(self) -> Network:
+        """What is validated and saved: the trained weights or their average, with the share of those at the start."""
+        trained = self.network if self.averaged is None else self.averaged.network
+        if not self._start:
+            return trained
+        mean = copy.deepcopy(trained)
+        with torch.no_grad():
+            for name, weights in mean.state_dict().items():
+                if weights.is_floating_point():
+                    weights.lerp_(self._start[name], self.recipe.start_share)
+        return mean
+
     def _validated(self, metrics: Metrics, validation: Validation, facts: Mapping[str, Any]) -> Metrics:
         """Validate; returns the metrics with those of the validation, and keeps the weights if they are the best."""
         workers, method = self.run_options.num_workers, self.run_options.worker_method
-        scores = validation.scores(self.result.eval(), workers, method)
+        result = self.result()
+        scores = validation.scores(result.eval(), workers, method)
         self.network.train(not self.recipe.only_places)
         accuracy = scores.confusion.average_per_class_accuracy()
         if math.isnan(accuracy):  # these images show no body
             return metrics
         if self._best is None or accuracy > self._best.accuracy or self.recipe.only_places:  # whose labels never change
             self._best = Best(self.step, accuracy)
-            save_network(self.folder.path / RunFiles.BEST, self.result, self.name, self._card(facts, self.step))
+            save_network(self.folder.path / RunFiles.BEST, result, self.name, self._card(facts, self.step))
         right = round(scores.confusion.pixel_accuracy(), 5)
         best = self._best.step
         return replace(metrics, val_accuracy=round(accuracy, 5), val_pixel_accuracy=right, val_best_step=best)
 
     def _save(self, facts: Mapping[str, Any]) -> None:
-        step, network = self.step, self.result
+        step, network = self.step, self.result()
         if self.validation is not None and self.validation.keep == "best" and self._best is not None:
             step, network = self._best.step, load_network(self.folder.path / RunFiles.BEST).network
         save_network(self.folder.network, network, self.name, self._card(facts, step))
@@ -325,7 +345,7 @@ class Training:
     def _objective(self) -> nn.Module:
         weights = torch.ones(self.network.classes)
         if self.recipe.balance:
-            if not (pixels := class_pixels(self.images)).any():
+            if not (pixels := self.images.class_pixels()).any():
                 raise BadConfig("images to train on must show a pixel that has a class, found none: is the rig right?")
             weights = part_weights(pixels, self.recipe.balance)
         objective: nn.Module = NetworkWithLoss(self.network, weights, self.recipe.loss_stride)
@@ -376,30 +396,15 @@ class Training:
         self.step += 1
 
 
-def check_template(images: ImageSet) -> None:
+def check_template(images: Turns) -> None:
     """Raise BadConfig unless images come with the map of the body, the plane `TEMPLATE` of this package's template."""
     for each in images.sets:
-        source = each.columns[TEMPLATE].source if TEMPLATE in images.planes and TEMPLATE in each.columns else None
+        source = each.columns[TEMPLATE].source if TEMPLATE in each.planes and TEMPLATE in each.columns else None
         if source != load_template().name:
             raise BadConfig(
                 f"a network with places on the template needs the plane {TEMPLATE!r} of {each.path}, of the template "
                 f"{load_template().name!r}, found {source!r}: open the images with planes=[{TEMPLATE!r}]"
             )
-
-
-def mixed(sets: Sequence[RangeImages], weights: Sequence[float], samples: int | None, seed: int) -> ImageSet:
-    """Return the one set, or a `Mixture` of several, whose samples and seed are those given.
-
-    weights: of the sets; none for the numbers of their samples, so that all samples come equally often. Raises
-    BadConfig for another number of weights than of sets, and as `Mixture`.
-    """
-    if weights and len(weights) != len(sets):
-        raise BadConfig(
-            f"--weights needs a number for each set by each sensor, {len(sets)} in all, found {len(weights)}"
-        )
-    parts = zip(sets, weights or [len(images) for images in sets], strict=True)
-    mixture = Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
-    return sets[0] if len(sets) == 1 and samples is None else mixture
 
 
 class AveragedNetwork:

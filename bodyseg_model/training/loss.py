@@ -1,7 +1,7 @@
 """Loss of a training step: cross-entropy over the pixels of the body, or over an even selection of them."""
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -156,11 +156,12 @@ class NetworkWithLoss(nn.Module):
         return (found - true) * known[:, None], known
 
 
-def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:
+def part_weights(counts: NDArray[Any], balance: float) -> torch.Tensor:
     """Weights of the classes, float32 [C]: each class's share of all pixels to the power of -balance, scaled so that
     the mean weight of a pixel is 1.
 
-    counts: int64 [C], pixels of each class, not all 0. Classes without one weigh as much as the rarest with any.
+    counts: int64 or float64 [C], pixels of each class, not all 0. Classes without one weigh as much as the rarest with
+    any.
     """
     shares = np.maximum(counts, counts[counts > 0].min()).astype(np.float64)
     shares /= shares.sum()

@@ -20,9 +20,10 @@ from typing import Any, Final, NamedTuple
 from bodyseg_data.core import BadConfig, check_seed, reported
 from bodyseg_data.files import entries_of, make_folder, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33
-from bodyseg_data.loading import ImageSet, first_difference
+from bodyseg_data.loading import first_difference
 from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
 from bodyseg_model.training.recipes import Recipe
+from bodyseg_model.training.turns import Turns
 from bodyseg_model.training.validation import Validation
 
 _LONGEST: Final = 60  # characters of a value
@@ -33,7 +34,7 @@ FORMAT: Final = "bodyseg run 1"
 def training_plan(
     name: str,
     network: Network,
-    images: ImageSet,
+    images: Turns,
     recipe: Recipe,
     seed: int,
     validation: Validation | None,
@@ -42,7 +43,7 @@ def training_plan(
     """Everything that a training's result depends on, as plain JSON: the same plan gives the same weights.
 
     name: of the network in `names.NETWORKS`. Keys: network, settings, variant, seed, recipe, rig (`Rig.to_json`) and
-    sensor (name and artifacts) of the images, of a mixture those of its first set, data (identity of the images),
+    sensor (name and artifacts) of the images, of several sets those of the first, data (identity of the images),
     labels (`LabelMap.to_json`) where they are not the 33 parts; validation and pretrained where there is one.
     """
     first = images.sets[0]

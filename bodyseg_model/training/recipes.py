@@ -51,6 +51,8 @@ class Recipe(Checked):
     where that is larger.
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
     (`loop.AveragedNetwork`); 0 for none.
+    start_share: share, in the weights that are validated and saved, of those that the training started from; the rest
+    are trained ones (Wortsman et al., 2022). More of the start keeps more of what it could.
     shuffle: order of the samples, "global" for a permutation of all or "blocks", which suits far stores (`loader`).
     only_places: whether only the head of places on the template is trained; all else of the network stays as it is, so
     that it labels with the same bits.
@@ -75,12 +77,13 @@ class Recipe(Checked):
     loss_stride: int = bounded(4, 1)
     geometric_augmentation: GeometricAugmentation = field(default_factory=GeometricAugmentation)
     ema: float = bounded(0.0, 0, 0.999999)
+    start_share: float = bounded(0.0, 0, 0.99)
     shuffle: Literal["global", "blocks"] = "global"
     only_places: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """The recipe as a JSON object. `ema`, `shuffle`, `only_places` and `bust` are left out at their defaults."""
-        plain = ("ema", 0), ("shuffle", "global"), ("only_places", False)
+        """The recipe as a JSON object. Fields from `ema` on, and `bust`, are left out at their defaults."""
+        plain = ("ema", 0), ("start_share", 0), ("shuffle", "global"), ("only_places", False)
         tree = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in plain}
         if not self.geometric_augmentation.bust:
             del tree["geometric_augmentation"]["bust"]

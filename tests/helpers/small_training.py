@@ -64,7 +64,7 @@ def train(
     options: RunOptions | None = None,
     settings: dict[str, Any] | None = None,
     seed: int = 0,
-    images: RangeImages | None = None,
+    images: Any = None,
     **changes: Any,
 ) -> list[Metrics]:
     """Train on the train split; changes: of the recipe. Returns the metrics reported."""

@@ -32,7 +32,7 @@ def built(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     found: list[tuple[str, int]] = []
     somebody = RoomPerson(PERSON, partition(PERSON, np.array(VERTICES), "edges"), "standing")
 
-    def draw(split: Split, block: int) -> list[RoomPerson]:
+    def draw(split: Split, block: int, poses: tuple[str, ...] = ()) -> list[RoomPerson]:
         found.append((split, block))
         return [somebody]
 
@@ -204,3 +204,45 @@ def test_people_are_drawn_by_their_block_and_split(monkeypatch: pytest.MonkeyPat
     assert (len(one), names) == (4, ["wide", "everyday"] * 3)
     assert one == again != other
     assert "mesh2" not in {*one, *other}
+
+
+class Sitters(Listed):
+    """Plain people, of whom two sit."""
+
+    def bodies(self) -> list[BodyRef]:
+        poses = "standing", "sitting", "on_a_chair", "standing", "walking"
+        return [BodyRef("B", "one", f"mesh{number + 9}", pose, "train") for number, pose in enumerate(poses)]
+
+
+def test_people_are_in_the_poses_asked_for(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sources = {"wide": Listed(), "everyday": Sitters()}
+    monkeypatch.setattr(room_packing, "open_source", sources.get)
+    monkeypatch.setattr(room_packing, "reduced_body", lambda body, *_: body)
+    drawn = room_packing.draw_people("train", 0, ("sit*", "on_*"))  # only one source has such
+    assert {person.pose for person in drawn} == {"sitting", "on_a_chair"} and len(drawn) == 20
+    assert "standing" in {person.pose for person in room_packing.draw_people("train", 0)}
+    words = [
+        "shard",
+        "--source",
+        "rooms",
+        "--samples",
+        "1",
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path / "set"),
+        "--poses",
+    ]
+    assert main([*words, "swims"]) == 2
+    told = "no body of wide and everyday has a pose like swims; its poses: on_a_chair, sitting, standing, walking\n"
+    assert capsys.readouterr().err.endswith(told)
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_set_says_in_which_poses_its_people_are(tmp_path: Path, built: list[tuple[str, int]]) -> None:
+    pack_rooms(tmp_path / "set", SMALL, 1, "test", poses=("lying*", "on_the_*"), workers=1)
+    assert RangeImages(tmp_path / "set").manifest.source == "rooms, people in poses lying* on_the_*"
+    with pytest.raises(BadConfig, match="packed with other options"):
+        pack_rooms(tmp_path / "set", SMALL, 1, "test", poses=("lying*",), workers=1)

@@ -67,6 +67,28 @@ def test_a_view_that_is_larger_than_the_image_is_cut_into_windows_that_hold_all_
         np.testing.assert_array_equal(part.labels, body[:, int(left) : int(left) + 41])
 
 
+def test_larger_images_hold_whole_those_alone_who_are_larger_than_the_rigs(tmp_path: Path) -> None:
+    narrow = replace(PAPER, camera=replace(PAPER.camera, columns=41, centre_px=(20.5, 320.0)))
+    (whole,) = cut_people(*room(34), LENS, PAPER)
+    assert list(cut_people(*room(34), LENS, PAPER, larger=(700, 400))) == []  # the paper's images hold them
+    (larger,) = cut_people(*room(34), LENS, narrow, larger=(700, 329))
+    assert larger.labels.shape == larger.range_m.shape == (700, 329)
+    np.testing.assert_array_equal(larger.labels[30:-30], whole.labels)
+    assert not larger.range_m[:30].any() and (larger.labels[-30:] == BACKGROUND).all()
+    parts = list(cut_people(*room(34), LENS, narrow, larger=(640, 60)))
+    assert len(parts) == -(-int(np.ptp(np.flatnonzero(whole.labels[320] != BACKGROUND)) + 1) // 60)
+    range_m, labels = room(10, 58)  # 350 pixels of the paper's camera, which has 329
+    with ShardWriter(tmp_path / "wide", rig=ROOM, classes=classes_of(PARTS33.names), projector="none") as out:
+        out.write(key="wide", range_m=range_m, labels=labels, split="train")
+    given = ["cut", "--data", str(tmp_path / "wide"), "--variant", "none", "--out", str(tmp_path / "people")]
+    assert cli.main([*given, "--larger", "700", "400"]) == 0
+    images = RangeImages(tmp_path / "people")
+    camera = images.manifest.rig.camera
+    assert (len(images), images.shape) == (1, (700, 400))
+    assert (camera.rows, camera.columns, camera.centre_px) == (700, 400, (200.0, 350.0))
+    assert camera.focal_px == PAPER.camera.focal_px
+
+
 def frames(folder: Path) -> Path:
     """Three rooms: with somebody, with nobody, and for the test, with somebody else."""
     with ShardWriter(folder, rig=ROOM, classes=classes_of(PARTS33.names), projector="none") as out:

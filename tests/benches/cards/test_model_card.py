@@ -63,6 +63,10 @@ def test_a_page_names_the_confusion_matrix_and_what_is_missing(weights: Path) ->
     for line in ("| classes | six |", "| pixels right | 50.0 % |", "| subset A | undefined |", "| set | set x |"):
         assert line in text
     assert text.endswith("Not stated, 2026-01-31.\n")
+    turns = {"turns": [{"weight": 2, "mixture": [{"set": "x"}, {"set": "y"}]}, {"weight": 1, "set": "z"}]}
+    file.write_text(json.dumps({**card, "data": turns}))
+    text = model_card(weights, PUBLICATION)
+    assert "| set 2 | set y |\n| set 3 | weight 1, set z |\n" in text
     file.write_text(json.dumps({"format": card["format"], "network": "compact"}))
     assert "The card has none: " in model_card(weights, PUBLICATION)
 

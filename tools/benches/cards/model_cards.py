@@ -82,7 +82,7 @@ def _training(card: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _data(data: Any) -> dict[str, Any]:
     """One row for each set that the network was trained on."""
     tree = data if isinstance(data, dict) else {}
-    sets = tree.get("mixture", [tree] if tree else [])
+    sets = [each for turn in tree.get("turns", [tree] if tree else []) for each in turn.get("mixture", [turn])]
     return {f"set {number}" if len(sets) > 1 else "set": entry for number, entry in enumerate(sets, 1)}
 
 
