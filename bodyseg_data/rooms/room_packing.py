@@ -28,6 +28,7 @@ from bodyseg_data.shards import CodecName, Manifest, read_manifest, shard_name
 _BLOCK: Final = 400
 _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
+_Who = tuple[Split, tuple[str, ...]]
 _NAMES: Final = "words", "vertices", "faces", "labels", "distance", "shared faces", "distance there"
 _OWN_M: Final = 0.05, 4.0  # least and greatest size of a user's thing
 _OWN_FACES: Final = 300_000  # most triangles of a user's thing
@@ -140,22 +141,17 @@ def pack_rooms(
             raise BadConfig(f"{out} holds rooms of another number or split: choose another folder, or delete it")
         progress(sum(key in writer for key in keys), samples)
         new = {key: room for key, room in keys.items() if key not in writer}
-        writer.write_all(new, partial(_made, rig, split, kinds, own, digest, poses, (out / STATE_NAME).absolute()))
+        writer.write_all(
+            new, partial(_made, rig, (split, poses), kinds, own and (own, digest), (out / STATE_NAME).absolute())
+        )
     return read_manifest(out)
 
 
 def _made(
-    rig: Rig,
-    split: Split,
-    kinds: tuple[str, ...],
-    own: OwnThings | None,
-    digest: str,
-    poses: tuple[str, ...],
-    state: Path,
-    room: int,
+    rig: Rig, who: _Who, kinds: tuple[str, ...], own: tuple[OwnThings, str] | None, state: Path, room: int
 ) -> dict[str, Any]:
-    people, things = _shared_people(state, split, poses, room // _BLOCK), () if own is None else _things_of(own, digest)
-    made = vars(Room(f"room-{split}-{room:06d}", rig, people, kinds, own=things).render(split))
+    people, things = _shared_people(state, *who, room // _BLOCK), () if own is None else _things_of(*own)
+    made = vars(Room(f"room-{who[0]}-{room:06d}", rig, people, kinds, own=things).render(who[0]))
     return {name: made[name] for name in made if name != "key"}
 
 

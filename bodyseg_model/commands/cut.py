@@ -12,7 +12,7 @@ from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
 from bodyseg_data.commands import WHERE_HELP, Progress, option
 from bodyseg_data.packing import ShardWriter
-from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Split, metres
 from bodyseg_data.shards import RIG_FIELD
 from bodyseg_model import networks, runtimes, segmentation, training
@@ -45,7 +45,10 @@ def run(options: Options) -> int:
     frames = loading.RangeImages(*wanted, sensor=sensor, where=where, unlabelled=True)
     trained = networks.load_network(options.finder or networks.FINDER)
     finder, rig = None if options.finder is None else trained.network, load_rig(options.rig)
-    images = rig if options.larger is None else _with_images(rig, *options.larger)
+    images = rig
+    if options.larger is not None:  # the optical axis in their middle
+        rows, columns = options.larger
+        images = replace(rig, camera=replace(rig.camera, rows=rows, columns=columns, centre_px=(columns / 2, rows / 2)))
     # Of all that the people depend on, so that no set is carried on with other frames, artifacts or another finder.
     of = json.dumps([frames.identity(), trained.card[networks.CardWords.WEIGHTS_SHA256]], sort_keys=True)
     source = f"cut from {frames.manifest.source}, with digest {hashlib.sha256(of.encode()).hexdigest()[:12]}"
@@ -76,8 +79,3 @@ def run(options: Options) -> int:
             progress.update(number + 1, len(frames))
     sys.stdout.write(f"{options.out}: {found} images of people in {len(frames)} frames\n")
     return 0
-
-
-def _with_images(rig: Rig, rows: int, columns: int) -> Rig:
-    """The rig with images of that size, the optical axis in their middle. Raises BadConfig."""
-    return replace(rig, camera=replace(rig.camera, rows=rows, columns=columns, centre_px=(columns / 2, rows / 2)))

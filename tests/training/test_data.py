@@ -48,7 +48,7 @@ def test_several_sets_are_mixed(small_set: Path) -> None:
 
 
 def test_every_set_needs_a_weight(small_set: Path) -> None:
-    with pytest.raises(BadConfig, match=r"^--weights needs a number for each set by each sensor, 2 in all, found 3$"):
+    with pytest.raises(BadConfig, match=r"^--weights needs a number for each set by each sensor, 2, found 3$"):
         opened(small_set, ["*", "*"], (1.0, 2.0, 3.0), None)
 
 
@@ -67,7 +67,7 @@ def test_a_command_trains_on_a_mixture_and_its_plan_names_all_sets(small_set: Pa
     assert plan["data"] == {"mixture": expected, "seed": 0}
     assert plan["variant"] == "all"
     assert load_network(tmp_path / "run").card["data"] == plan["data"]
-    state = json.loads((tmp_path / "run" / "checkpoint.json").read_text())["loader_state"]
+    (state,) = json.loads((tmp_path / "run" / "checkpoint.json").read_text())["loader_state"]["loaders"]
     assert (state["samples"], state["position"]) == (12, 4)
 
 
@@ -117,7 +117,7 @@ def test_a_sample_that_comes_again_in_an_epoch_is_mirrored_as_drawn_anew(small_s
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (["--weights", "3"], "--weights needs a number for each set by each sensor, 2 in all, found 1"),
+        (["--weights", "3"], "--weights needs a number for each set by each sensor, 2, found 1"),
         (["--weights", "1", "-2"], "a weight must be finite and at least 0, found -2.0"),
         (["--weights", "0", "0"], "weights of a mixture must have a sum above 0 and finite, found 0 in epoch 0"),
         (["--samples", "0"], "samples must be a whole number of at least 1, found 0"),

@@ -276,7 +276,8 @@ def test_the_order_of_samples_belongs_to_the_plan(small_set: Path, tmp_path: Pat
         folder = RunFolder(tmp_path / shuffle)
         assert main([*words, "--out", str(folder.path), "--shuffle", shuffle]) == 0
         plans[shuffle] = folder.plan()
-        orders.append(read_checkpoint(folder.path).loader_state["shuffle"])  # type: ignore[union-attr]
+        (state,) = read_checkpoint(folder.path).loader_state["loaders"]  # type: ignore[union-attr]
+        orders.append(state["shuffle"])
     assert orders == ["blocks", True]
     with pytest.raises(BadConfig, match='holds another training: recipe.shuffle was not given, now "blocks"$'):
         RunFolder(tmp_path / "global").begin(plans["blocks"], True)
