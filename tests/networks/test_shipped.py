@@ -50,12 +50,13 @@ def test_the_large_network_says_where_it_is_from_and_how_good_it_is() -> None:
     assert checkpoints.LARGE.stat().st_size <= 8_000_000
     large, compact = load_network("large").card, load_network("compact").card
     assert compact == load_network().card
-    for name in ("rig", "sensor", "variant", "network"):
+    for name in ("rig", "sensor", "network"):
         assert large[name] == compact[name], name
-    before = large["mean_of"][0]
-    assert before["mean_of"][0]["mean_of"][0]["pretrained"] is None and large["recipe"]["optimiser"] == "muon"
-    assert large["pretrained"] == {"file": "large", "weights_sha256": before["weights_sha256"]}
-    assert sum(each["share"] for each in large["mean_of"]) == 1
+    assert large["variant"] == "all, none"
+    assert large["recipe"]["optimiser"] == "muon" and large["recipe"]["start_share"] == 0.5
+    before = large["pretrained"]["mean_of"][0]
+    assert before["mean_of"][0]["mean_of"][0]["pretrained"] is None
+    assert {each["weight"] for each in large["data"]["turns"]} == {4.4, 1.3}
     for name in ("command", "commit", "hardware", "data", "least_confidence_of_people"):
         assert large[name], name
     scores = [card["scores"]["average_per_class_accuracy"] for card in (compact, large)]
