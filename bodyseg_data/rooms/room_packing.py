@@ -28,7 +28,7 @@ from bodyseg_data.shards import CodecName, Manifest, read_manifest, shard_name
 _BLOCK: Final = 400
 _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
-_Who = tuple[Split, tuple[str, ...]]
+_Who = tuple[Split, tuple[str, ...]]  # split and poses of people
 _NAMES: Final = "words", "vertices", "faces", "labels", "distance", "shared faces", "distance there"
 _OWN_M: Final = 0.05, 4.0  # least and greatest size of a user's thing
 _OWN_FACES: Final = 300_000  # most triangles of a user's thing

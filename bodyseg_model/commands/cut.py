@@ -11,6 +11,7 @@ import numpy as np
 from bodyseg_data import loading
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
 from bodyseg_data.commands import WHERE_HELP, Progress, option
+from bodyseg_data.core import BadConfig
 from bodyseg_data.packing import ShardWriter
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Split, metres
@@ -30,8 +31,8 @@ class Options:
     split: Split = option("split of the frames", "train")
     where: tuple[str, ...] = option(WHERE_HELP, ())
     rig: str = option("rig of the network to train, whose camera's images are written: a name or a .toml file", "paper")
-    larger: tuple[int, int] | None = option(
-        "rows and columns of images of those people alone who are larger than the rig's images, as whoever lies", None
+    larger: tuple[int, ...] = option(
+        "rows and columns of images of those people alone who are larger than the rig's images, as whoever lies", ()
     )
     finder: Path | None = option("network that finds people, a training's folder (default: the one that ships)", None)
     threads: int | None = option(runtimes.THREADS_HELP, None)
@@ -45,9 +46,11 @@ def run(options: Options) -> int:
     frames = loading.RangeImages(*wanted, sensor=sensor, where=where, unlabelled=True)
     trained = networks.load_network(options.finder or networks.FINDER)
     finder, rig = None if options.finder is None else trained.network, load_rig(options.rig)
-    images = rig
-    if options.larger is not None:  # the optical axis in their middle
-        rows, columns = options.larger
+    images, size = rig, None
+    if options.larger:
+        if len(options.larger) != 2:
+            raise BadConfig(f"--larger needs two numbers, rows and columns, found {len(options.larger)}")
+        rows, columns = size = options.larger[0], options.larger[1]  # the optical axis in their middle
         images = replace(rig, camera=replace(rig.camera, rows=rows, columns=columns, centre_px=(columns / 2, rows / 2)))
     # Of all that the people depend on, so that no set is carried on with other frames, artifacts or another finder.
     of = json.dumps([frames.identity(), trained.card[networks.CardWords.WEIGHTS_SHA256]], sort_keys=True)
@@ -65,7 +68,7 @@ def run(options: Options) -> int:
             frame, facts = frames.image(number), frames.describe(number)
             camera = frames.manifest.rigs[facts.get(RIG_FIELD, 0)].camera
             range_m = metres(frame.range, frames.step_m)
-            people = segmentation.cut_people(range_m, frame.labels, camera, rig, finder, options.larger)
+            people = segmentation.cut_people(range_m, frame.labels, camera, rig, finder, size)
             for person, (seen_m, labels) in enumerate(people):
                 out.write(
                     key=f"{frame.key}-{person}",

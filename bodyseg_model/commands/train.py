@@ -77,9 +77,7 @@ class Options:
     bust: float | None = option("share of the images that show only the upper body (default: the recipe's)", None)
     remnants: float = option("share of the images with remnants of a wall beside the body, as masks leave them", 0.0)
     ema: float | None = option("validate and save weights averaged by this decay, like 0.999 (default: recipe's)", None)
-    start_share: float | None = option(
-        "with --pretrained: share of those weights in the ones that are saved, beside the trained (default: none)", None
-    )
+    start_share: float | None = option("share of the weights of --pretrained in those saved (default: none)", None)
     shuffle: Literal["global", "blocks"] = option("order of samples; blocks read a far store in few pieces", "global")
     val_share: float | None = option(
         "share of train to hold out, by subject and motion, and validate on (default: none)", None, heading="Validation"
@@ -114,10 +112,6 @@ def run(options: Options) -> int:
     """Train to the end."""
     if options.only_template and options.pretrained is None:
         raise BadConfig("--only-template trains a head for a network that is trained: give that as --pretrained")
-    if options.start_share and options.pretrained is None:
-        raise BadConfig(
-            "--start-share is a share of the weights that a training starts from: give them as --pretrained"
-        )
     training.use_threads(options.threads)
     named = {each.name: getattr(options, each.name) for each in fields(training.Recipe) if hasattr(options, each.name)}
     recipe = training.recipe_for(
@@ -141,6 +135,8 @@ def run(options: Options) -> int:
     sets = _open(options, "train", planes)
     images = training.mixed(sets, options.weights, options.samples, options.seed)
     start = _start(options)
+    if options.start_share and start is None and not options.resume:
+        raise BadConfig("--start-share is a share of a trained network's weights: give that as --pretrained")
     network = _network(options, sets[0].label_map, start, settings)
     pretrained = _pretrained(options, network, start, sets[0].label_map)
     first_process = loading.find_rank()[0] == 0
@@ -276,10 +272,12 @@ def _pretrained(
     new, read = network.state_dict(), start.network.state_dict()
     fit = {name: read[name] for name, weights in new.items() if name in read and read[name].shape == weights.shape}
     network.load_state_dict({**new, **fit})
+    anew = ", ".join(name for name in new if name not in fit)
+    if options.start_share and anew:
+        raise BadConfig(f"--start-share needs all weights in --pretrained {path}, which lacks {anew}")
     if (theirs := start.label_map).difference(label_map) is not None:
         if options.only_template:
             raise BadConfig(f"--only-template needs the labels of --pretrained {path}, {theirs.name!r}")
-        anew = ", ".join(name for name in new if name not in fit)
         does = f"{anew} begin at random" if anew else "all weights are kept, as there are as many"
         sys.stderr.write(f"{path} has other classes, {theirs.name!r}: {does}\n")
     return _entry(path, start.card[CardWords.WEIGHTS_SHA256])

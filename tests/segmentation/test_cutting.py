@@ -67,7 +67,9 @@ def test_a_view_that_is_larger_than_the_image_is_cut_into_windows_that_hold_all_
         np.testing.assert_array_equal(part.labels, body[:, int(left) : int(left) + 41])
 
 
-def test_larger_images_hold_whole_those_alone_who_are_larger_than_the_rigs(tmp_path: Path) -> None:
+def test_larger_images_hold_whole_those_alone_who_are_larger_than_the_rigs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     narrow = replace(PAPER, camera=replace(PAPER.camera, columns=41, centre_px=(20.5, 320.0)))
     (whole,) = cut_people(*room(34), LENS, PAPER)
     assert list(cut_people(*room(34), LENS, PAPER, larger=(700, 400))) == []  # the paper's images hold them
@@ -81,6 +83,8 @@ def test_larger_images_hold_whole_those_alone_who_are_larger_than_the_rigs(tmp_p
     with ShardWriter(tmp_path / "wide", rig=ROOM, classes=classes_of(PARTS33.names), projector="none") as out:
         out.write(key="wide", range_m=range_m, labels=labels, split="train")
     given = ["cut", "--data", str(tmp_path / "wide"), "--variant", "none", "--out", str(tmp_path / "people")]
+    assert cli.main([*given, "--larger", "700"]) == 2
+    assert "--larger needs two numbers, rows and columns, found 1" in capsys.readouterr().err
     assert cli.main([*given, "--larger", "700", "400"]) == 0
     images = RangeImages(tmp_path / "people")
     camera = images.manifest.rig.camera

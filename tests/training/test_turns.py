@@ -134,11 +134,18 @@ def load_start() -> dict[str, torch.Tensor]:
     return build("compact", TINY, 0).state_dict()
 
 
-def test_a_share_of_the_start_needs_weights_to_start_from(
+def test_a_share_of_the_start_needs_a_trained_network_with_all_weights(
     small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["train", "--data", str(small_set), "--out", str(tmp_path / "run"), "--start-share", "0.5"]
-    assert main(words) == 2
-    assert "--start-share is a share of the weights that a training starts from" in capsys.readouterr().err
-    assert main([*words[:-1], "1", "--pretrained", "compact"]) == 2
-    assert "start_share must be from 0 to 0.99, found 1.0" in capsys.readouterr().err
+    wrong = {
+        "--start-share is a share of a trained network's weights: give that as --pretrained": [],
+        "--start-share needs all weights in --pretrained compact, which lacks head.": [
+            *("--pretrained", "compact", "--labels", "people")
+        ],
+        "start_share must be from 0 to 0.99, found 1.0": ["--start-share", "1", "--pretrained", "compact"],
+    }
+    for said, more in wrong.items():
+        assert main([*words, *more]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
