@@ -5,6 +5,7 @@ them first builds them and leaves them to the others in the state folder. The by
 """
 
 import fcntl
+import itertools
 from contextlib import suppress
 from functools import lru_cache, partial
 from io import BytesIO
@@ -192,10 +193,10 @@ def _person(words: Any, vertices: Any, faces: Any, labels: Any, distance: Any, s
 def _people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, list[BodyRef]]]:
     """Sources of people, and their bodies in such poses; those of no source that has none. Raises BadConfig."""
     sources = [open_source(name) for name in _SOURCES[split]]
-    bodies = [(source, body) for source in sources for body in source.bodies() if body.split == split]
-    chosen = {*in_poses([body for _, body in bodies], poses, " and ".join(_SOURCES[split]))}
-    found = [(source, [body for own, body in bodies if own is source and body in chosen]) for source in sources]
-    return [each for each in found if each[1]]
+    listed = [[body for body in source.bodies() if body.split == split] for source in sources]
+    chosen = {*in_poses([*itertools.chain(*listed)], poses, " and ".join(_SOURCES[split]))}
+    kept = [[body for body in bodies if body in chosen] for bodies in listed]
+    return [(source, bodies) for source, bodies in zip(sources, kept, strict=True) if bodies]
 
 
 def draw_people(split: Split, block: int, poses: tuple[str, ...] = ()) -> list[RoomPerson]:

@@ -11,10 +11,12 @@ from typing import Any, Final
 import torch
 
 from bodyseg_data import RangeImages
+from bodyseg_data.loading import ImageSet
 from bodyseg_model.evaluation import Scores
 from bodyseg_model.networks import build
 from bodyseg_model.training import GeometricAugmentation, Metrics, Recipe, RunFolder, RunOptions, Training, Validation
 from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.turns import Weighted
 
 ONE: Final = ProcessGroup(0, 1, torch.device("cpu"))
 TINY: Final = {"patch": 16, "widths": [8], "blocks": [1]}
@@ -64,7 +66,7 @@ def train(
     options: RunOptions | None = None,
     settings: dict[str, Any] | None = None,
     seed: int = 0,
-    images: Any = None,
+    images: ImageSet | Sequence[Weighted] | None = None,
     **changes: Any,
 ) -> list[Metrics]:
     """Train on the train split; changes: of the recipe. Returns the metrics reported."""

@@ -114,7 +114,8 @@ def test_a_folder_in_which_another_training_is_at_work_is_left_alone(small_set: 
 
 def test_another_dataset_is_refused(small_set: Path, tmp_path: Path) -> None:
     joined: Any = ConcatDataset([RangeImages(small_set), RangeImages(small_set)])
-    with pytest.raises(BadConfig, match=r"^images must be RangeImages, a Mixture .*, found ConcatDataset$"):
+    message = r"^images must be RangeImages, a Mixture or a list of \(images, weight\), found ConcatDataset$"
+    with pytest.raises(BadConfig, match=message):
         train(joined, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

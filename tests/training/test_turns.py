@@ -16,7 +16,7 @@ from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import Crop
 from bodyseg_model.commands import main
-from bodyseg_model.networks import load_network
+from bodyseg_model.networks import build, load_network
 from bodyseg_model.training import RunOptions, mixed
 from bodyseg_model.training import train as trained
 from bodyseg_model.training.loss import class_pixels
@@ -82,7 +82,7 @@ def test_a_training_on_two_sizes_carries_on_with_the_same_bits(small_set: Path, 
 
 
 def test_a_command_mixes_sets_of_one_size_and_lets_sizes_take_turns(
-    small_set: Path, paper_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_set: Path, paper_set: Path, tmp_path: Path
 ) -> None:
     words = ["train", "--data", *map(str, (small_set, paper_set, small_set)), "--weights", "1", "2", "3"]
     words += ["--samples", "12", "--settings", json.dumps(TINY), "--steps", "3", "--batch-size", "1"]
@@ -113,7 +113,7 @@ def test_what_cannot_take_turns_is_refused(small_set: Path, tmp_path: Path) -> N
 
 
 def test_a_share_of_the_start_is_in_what_is_saved_and_not_in_what_is_trained(small_set: Path, tmp_path: Path) -> None:
-    start = {name: each.clone() for name, each in load_start().items()}
+    start = {name: each.clone() for name, each in build("compact", TINY, 0).state_dict().items()}
     losses = [metrics.loss for metrics in train(small_set, tmp_path / "plain", steps=3)]
     assert losses == [each.loss for each in train(small_set, tmp_path / "half", steps=3, start_share=0.25)]
     plain, half = (load_network(tmp_path / name) for name in ("plain", "half"))
@@ -126,12 +126,6 @@ def test_a_share_of_the_start_is_in_what_is_saved_and_not_in_what_is_trained(sma
         train(small_set, tmp_path / "cut", steps=3, start_share=0.25, report=cut_at(2))
     train(small_set, tmp_path / "cut", steps=3, start_share=0.25, resume=True, seed=0)
     assert written(tmp_path / "cut") == written(tmp_path / "half")
-
-
-def load_start() -> dict[str, torch.Tensor]:
-    from bodyseg_model.networks import build
-
-    return build("compact", TINY, 0).state_dict()
 
 
 def test_a_share_of_the_start_needs_a_trained_network_with_all_weights(

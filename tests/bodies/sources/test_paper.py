@@ -91,7 +91,9 @@ def test_what_is_missing_is_named_in_plan_and_warning(
     )
     with pytest.warns(UserWarning, match=told):
         assert cli.main(["shard", "--source", "paper", "--path", str(root), "--plan"]) == 0
-    counts = json.loads(capsys.readouterr().out)
+    captured = capsys.readouterr()
+    assert not captured.err
+    counts = json.loads(captured.out)
     assert counts["meshes"] == 2329 - 71 - 4 - 1
     assert counts["missing"] == [
         "scape/mesh000.ply to mesh050.ply",
