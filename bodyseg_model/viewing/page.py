@@ -22,7 +22,6 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
@@ -81,13 +80,12 @@ class Guard:
 
 def _name(host: str) -> str:
     """The name in a header "name:port", in small letters; "" if there is none."""
-    try:
+    with contextlib.suppress(ValueError):
         return urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return ""
+    return ""
 
 
-@contextmanager
+@contextlib.contextmanager
 def guarded(guard: Guard) -> Iterator[None]:
     """While the context lasts, servers of WebSockets that are begun serve whom `guard` lets in, and print nothing of
     what goes wrong on a connection. viser has no place for these rules.
@@ -293,7 +291,7 @@ class Page:
             if event.client is not None:
                 box: Any = devices
                 box.value = box.value or look.value == "sensor"
-                self._look(event.client, look.value)
+                self._look(event.client, look.value, event.client.camera.aspect, 1.0, [])
 
         @save.on_click
         def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
@@ -345,34 +343,36 @@ class Page:
         """Keep the whole body in one client's window, whatever its shape, until somebody moves the view."""
         places, fitted = [np.asarray(self.server.initial_camera.position)], [0.0]
         free = _FREE if client.camera.image_width < _PHONE_PX else 1.0  # image_width is the whole window's at first
+        turn = threading.Lock()  # reports are answered in several threads
 
         def fit(camera: viser.CameraHandle) -> None:
-            unmoved = any(np.allclose(camera.position, place, atol=1e-3) for place in places)
-            if unmoved and abs(camera.aspect - fitted[0]) > _SAME * fitted[0]:
-                fitted[0] = camera.aspect
-                self._look(client, "points", free, places)
+            with turn:
+                aspect = camera.aspect
+                unmoved = any(np.allclose(camera.position, place, atol=1e-3) for place in places)
+                if unmoved and abs(aspect - fitted[0]) > _SAME * fitted[0]:
+                    fitted[0] = aspect
+                    self._look(client, "points", aspect, free, places)
 
         client.camera.on_update(fit)
         fit(client.camera)
 
     def _look(
-        self, client: viser.ClientHandle, kind: str, free: float = 1.0, places: list[NDArray[np.float64]] | None = None
+        self, client: viser.ClientHandle, kind: str, aspect: float, free: float, places: list[NDArray[np.float64]]
     ) -> None:
         """Move one client's view to one of `VIEWPOINTS`.
 
-        free: share of the window's height, from its top, in which the points are to be seen. places: receives where the
-        view goes, before it goes there, since the client may report it at once.
+        aspect: width by height of its window. free: share of the window's height, from its top, in which the points are
+        to be seen. places: receives where the view goes, before it goes there: the client may report it at once.
         """
         drawing, chosen = self._drawing, next(each for each in VIEWPOINTS if each == kind)
         if drawing is None:
             return
         camera, half = client.camera, math.tan(client.camera.fov / 2)
-        fov_rad, aspect = 2 * math.atan(free * half), camera.aspect / free
-        place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], chosen, fov_rad, aspect)
+        fov_rad = 2 * math.atan(free * half)
+        place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], chosen, fov_rad, aspect / free)
         # A little less than to the edge: what is nearer than the middle moves farther.
         down = np.array([0.0, 0.92 * (1 - free) * half * float(np.linalg.norm(place - at)), 0.0])
-        if places is not None:
-            places.append(place - down)
+        places.append(place - down)
         with client.atomic():
             camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), place - down, at - down
 
