@@ -88,8 +88,8 @@ class Options:
     seed: int = option("seed of initial weights, order, artifacts and all other draws", 0, heading="Run")
     resume: bool = option("carry on the training in --out from its last checkpoint", False)
     pretrained: Path | None = option(
-        "weights to start from: compact, large, a run's folder, a .safetensors file; for fcn_alexnet also AlexNet's "
-        "(default: random weights)",
+        "weights to start from: compact, large, finder, a run's folder, a .safetensors file; for fcn_alexnet also "
+        "AlexNet's (default: random weights)",
         None,
         heading="Network",
     )

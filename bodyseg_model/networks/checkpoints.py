@@ -32,14 +32,14 @@ SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 LARGE: Final = SHIPPED.with_name("large.safetensors")
 """Of a more accurate one, which takes longer."""
 
-_NAMED: Final = {file.stem: file for file in (SHIPPED, LARGE)}
-"""Name -> file of a network that ships, which may be given instead of a path."""
-
 PLACES: Final = SHIPPED.with_name("compact_places.safetensors")
 """Of its head of places; the settings in the card are those of both together."""
 
 FINDER: Final = SHIPPED.with_name("finder.safetensors")
 """Of the network that finds people in rooms, whose classes are those of the label map "people"."""
+
+_NAMED: Final = {file.stem: file for file in (SHIPPED, LARGE, FINDER)}
+"""Name -> file of a network that ships, which may be given instead of a path."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def load_network(path: Path | str | None = None, *, dense: bool = False) -> Trai
     file = path / RunFiles.NETWORK if path.is_dir() else path
     if file.suffix != ".safetensors" or not path.exists():
         found = path if path.exists() else f"{path}, which is not there"
-        raise BadConfig(f"a network is {' or '.join(_NAMED)}, a run's folder or a .safetensors file, found {found}")
+        raise BadConfig(f"a network is {', '.join(_NAMED)}, a run's folder or a .safetensors file, found {found}")
     card = read_card(file)
     tensors, digest = _read_weights(file, card)
     if dense and file == SHIPPED:

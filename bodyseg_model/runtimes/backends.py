@@ -132,7 +132,7 @@ def load_network(path: Path | str | None = None, *, dense: bool = False) -> Trai
 
     path: a run's folder, for the network that the training ended with, or the last checkpoint of one that has not; a
     .safetensors file, with its .json beside it, such as a run's best.safetensors; an .onnx file, for onnxruntime; or,
-    where there is no such path, "compact" or "large", which ship with the package. None for `compact`.
+    where there is no such path, "compact", "large" or "finder", which ship with the package. None for `compact`.
     dense: with the head of places on the template, which the `compact` that ships has in a file of its own; others have
     it if they were trained with one.
 
