@@ -80,8 +80,9 @@ class Trained:
 class Checkpoint:
     """State of a training after `step` steps. loader_state: `Loader.state_dict`.
 
-    tensors: the network's weights as "network.NAME", their averages, if there are any, as "average.NAME", and the
-    optimiser's state as "optimiser.NAME". sha256: of the file of tensors that it was read from, None for a new one.
+    tensors: the network's weights as "network.NAME", their averages, if there are any, as "average.NAME", those that
+    the training started from, if it saves a share of them, as "start.NAME", and the optimiser's state as
+    "optimiser.NAME". sha256: of the file of tensors that it was read from, None for a new one.
     """
 
     step: int
@@ -90,9 +91,8 @@ class Checkpoint:
     sha256: str | None = None
 
     TRAINED: ClassVar = "network."
-    """Prefix of the weights among the tensors."""
     AVERAGED: ClassVar = "average."
-    """Prefix of their averages."""
+    START: ClassVar = "start."
 
     @property
     def file(self) -> str:
@@ -112,6 +112,11 @@ class Checkpoint:
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
         """The tensors whose names begin with `prefix`, without it."""
         return {name.removeprefix(prefix): t for name, t in self.tensors.items() if name.startswith(prefix)}
+
+    @staticmethod
+    def mean(weights: Mapping[str, torch.Tensor], start: Mapping[str, torch.Tensor], share: float) -> dict[str, Any]:
+        """The mean of trained weights and those at the start, which have this share; whole numbers as trained."""
+        return {name: t.lerp(start[name], share) if t.is_floating_point() else t for name, t in weights.items()}
 
 
 def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
@@ -285,13 +290,16 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
 
 
 def _last_weights(folder: Path) -> Trained:
-    """Load the weights of a run's last checkpoint, averaged where the training averages them, with its plan as card."""
+    """Load the weights of a run's last checkpoint as the training would save them, with its plan as card."""
     checkpoint = read_checkpoint(folder)
     if checkpoint is None:
         raise BadConfig(f"{folder} has no checkpoint yet")
     plan = read_json(folder / RunFiles.PLAN)
     network = _build(plan, folder / RunFiles.PLAN, checkpoint.tensors)
-    fill(network, checkpoint.part(Checkpoint.AVERAGED) or checkpoint.part(Checkpoint.TRAINED), folder / checkpoint.file)
+    weights = checkpoint.part(Checkpoint.AVERAGED) or checkpoint.part(Checkpoint.TRAINED)
+    if start := checkpoint.part(Checkpoint.START):
+        weights = Checkpoint.mean(weights, start, plan["recipe"]["start_share"])
+    fill(network, weights, folder / checkpoint.file)
     steps = {"step": checkpoint.step, "last_step": checkpoint.step}
     card = {**plan, "format": CardWords.FORMAT, **steps, CardWords.WEIGHTS_SHA256: checkpoint.sha256}
     return trained_network(network, card, folder / RunFiles.PLAN)

@@ -23,12 +23,7 @@ from bodyseg_model.recordings import Frame, FrameCamera, FrameCameras, Pixels, S
 from bodyseg_model.runtimes import BackendName, Precision, backend_of, put_on_backend, to_device
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, shipped_finder
-from bodyseg_model.segmentation.segmenter import (
-    LEAST_CONFIDENCE,
-    Segmentation,
-    Segmenter,
-    least_confidence_of_people,
-)
+from bodyseg_model.segmentation.segmenter import LEAST_CONFIDENCE, Segmentation, Segmenter, least_confidence_of_people
 from bodyseg_model.segmentation.views import Turned, Undistortion, metres_of
 
 _READ: Final = "read"

@@ -57,7 +57,6 @@ class Diverged(BodysegError):
 
 
 _OPTIMISER: Final = "optimiser."  # prefix of the optimisers' tensors in a checkpoint
-_START: Final = "start."  # of the weights that a training started from
 
 
 def train(
@@ -287,7 +286,8 @@ class Training:
                 self.averaged.network.load_state_dict(checkpoint.part(Checkpoint.AVERAGED))
         fill_optimisers(self.optimisers, checkpoint.part(_OPTIMISER))
         if self._start:  # not those that were given, which may be named once only
-            self._start = {name: each.to(self.processes.device) for name, each in checkpoint.part(_START).items()}
+            own = checkpoint.part(Checkpoint.START)
+            self._start = {name: each.to(self.processes.device) for name, each in own.items()}
         self.step = checkpoint.step
         if self.validation is not None:
             self._best = self.folder.best() if self.processes.first else None
@@ -295,7 +295,7 @@ class Training:
 
     def _checkpoint(self, data_loader: TurnLoader) -> Checkpoint:
         parts = {Checkpoint.TRAINED: self.network.state_dict(), _OPTIMISER: optimiser_tensors(self.optimisers)}
-        parts |= {_START: self._start} if self._start else {}
+        parts |= {Checkpoint.START: self._start} if self._start else {}
         if self.averaged is not None:
             parts[Checkpoint.AVERAGED] = self.averaged.network.state_dict()
         tensors = {f"{prefix}{name}": tensor for prefix, part in parts.items() for name, tensor in part.items()}
@@ -307,10 +307,7 @@ class Training:
         if not self._start:
             return trained
         mean = copy.deepcopy(trained)
-        with torch.no_grad():
-            for name, weights in mean.state_dict().items():
-                if weights.is_floating_point():
-                    weights.lerp_(self._start[name], self.recipe.start_share)
+        mean.load_state_dict(Checkpoint.mean(mean.state_dict(), self._start, self.recipe.start_share))
         return mean
 
     def _validated(self, metrics: Metrics, validation: Validation, facts: Mapping[str, Any]) -> Metrics:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 from small_training import RECIPE, TINY, CutError, cut_at, train, written
 
 from bodyseg_data import Mixture, RangeImages, loader
@@ -124,6 +125,11 @@ def test_a_share_of_the_start_is_in_what_is_saved_and_not_in_what_is_trained(sma
         torch.testing.assert_close(half.network.state_dict()[name], expected)
     with pytest.raises(CutError):
         train(small_set, tmp_path / "cut", steps=3, start_share=0.25, report=cut_at(2))
+    held = load_file(next((tmp_path / "cut").glob("*.safetensors")))
+    for name, weights in load_network(tmp_path / "cut").network.state_dict().items():  # as it would be saved now
+        now = held[f"network.{name}"]
+        expected = 0.75 * now + 0.25 * start[name] if now.is_floating_point() else now
+        torch.testing.assert_close(weights, expected)
     train(small_set, tmp_path / "cut", steps=3, start_share=0.25, resume=True, seed=0)
     assert written(tmp_path / "cut") == written(tmp_path / "half")
 
