@@ -261,7 +261,8 @@ CASES: dict[str, Case] = {
     "load a network from another kind of file": (
         lambda: load_network(Path("network.pth")),
         BadConfig,
-        "a network is compact, large, finder, a run's folder or a .safetensors file, found network.pth, which is not there",
+        "a network is compact, large, finder, a run's folder or a .safetensors file, found network.pth, "
+        "which is not there",
     ),
     "load pretrained weights of a network that has none": (
         lambda: build("compact").load_pretrained(Path("a.onnx")),
