@@ -112,9 +112,8 @@ class Segmentation:
         """The point of the body's template that each pixel shows, uint16 [H, W] (`bodyseg_data.load_template`); 65535
         where there is no label, and everywhere unless the segmenter is dense.
         """
-        image = self._image(
-            np.uint16(NOWHERE), [NOWHERE if body.places is None else body.places for body in self.bodies]
-        )
+        places = [NOWHERE if body.places is None else body.places for body in self.bodies]
+        image = self._image(np.uint16(NOWHERE), places)
         image[self.labels == BACKGROUND] = NOWHERE
         return image
 
@@ -196,8 +195,8 @@ class Segmenter:
     quarters: right angles, 0 to 3, by which the camera is mounted turned clockwise, as seen from behind it.
     dense: also tell where on the body's template each pixel lies (`Segmentation.template`).
     either_way: a person of whose parts the network is unsure is labelled upside down, too; the surer labels stay.
-    Raises BadConfig for a confidence or quarters out of range, a camera with distortion, and a network of other
-    classes, that is no finder, or that knows no places and is to be dense; MissingLibrary without numba.
+    Raises BadConfig for a confidence or quarters out of range, a camera with distortion, a network of other classes or
+    that knows no places and is to be dense, and a finder that is none or is to label; MissingLibrary without numba.
     """
 
     def __init__(
@@ -243,6 +242,8 @@ class Segmenter:
                 "dense answers need a network with places on the template, computed by torch: that of `compact` ships, "
                 "`train --settings '{\"template\": true}'` trains one"
             )
+        if self._network.settings.get("focal_px") and self.background.mode != "frame":
+            raise BadConfig("a network with focal_px sees whole frames: it is for --finder or --background frame")
         finds = self.background.mode == "people"
         self.doubted_below = (doubted_below or 0.0) if finds else 0.0
         self.finder = on_backend(finder or shipped_finder().network) if finds else None

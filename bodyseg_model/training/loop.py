@@ -286,8 +286,7 @@ class Training:
                 self.averaged.network.load_state_dict(checkpoint.part(Checkpoint.AVERAGED))
         fill_optimisers(self.optimisers, checkpoint.part(_OPTIMISER))
         if self._start:  # not those that were given, which may be named once only
-            own = checkpoint.part(Checkpoint.START)
-            self._start = {name: each.to(self.processes.device) for name, each in own.items()}
+            self._start = {name: t.to(self.processes.device) for name, t in checkpoint.part(Checkpoint.START).items()}
         self.step = checkpoint.step
         if self.validation is not None:
             self._best = self.folder.best() if self.processes.first else None

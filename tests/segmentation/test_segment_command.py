@@ -418,6 +418,7 @@ def test_a_body_that_no_view_can_hold_is_named(tmp_path: Path, capsys: pytest.Ca
         (["--centre", "3"], "--centre takes two numbers"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
         (["--run", "nowhere"], "a network is compact, large, finder, a run's folder or a .safetensors file, found"),
+        (["--run", "finder"], "a network with focal_px sees whole frames: it is for --finder or --background frame"),
         (["--background", "none"], 'Invalid value "none" for --background'),
     ],
 )
