@@ -56,7 +56,10 @@ def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.Capt
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "bad.json")], "must hold a JSON object"),
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "other.json")], "--scores must be what"),
         (["--out", str(run / "network.safetensors")], "--out must not replace the weights of a training"),
-        (["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")], "a network is compact, large,"),
+        (
+            ["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")],
+            "a network is compact, large, finder, a run's folder or a .safetensors file, found",
+        ),
     ):
         assert main(["export", "--run", str(run), *words]) == 2
         said = capsys.readouterr().err

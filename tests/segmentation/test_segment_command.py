@@ -417,7 +417,10 @@ def test_a_body_that_no_view_can_hold_is_named(tmp_path: Path, capsys: pytest.Ca
         (["--rig", "paper"], "give either --rig or --focal and --centre"),
         (["--centre", "3"], "--centre takes two numbers"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
-        (["--run", "nowhere"], "a network is compact, large, finder, a run's folder or a .safetensors file, found"),
+        (
+            ["--run", "nowhere"],
+            "a network is compact, large, finder, a run's folder or a .safetensors file, found nowhere,",
+        ),
         (["--run", "finder"], "a network with focal_px sees whole frames: it is for --finder or --background frame"),
         (["--background", "none"], 'Invalid value "none" for --background'),
     ],
