@@ -193,14 +193,13 @@ def _run_renders(options: Options) -> int:
         counts |= {"classes": source.classes.names, "rigs": len(source.rigs), "planes": dict(source.planes)}
         sys.stdout.write(json.dumps({"source": RENDERS, "views": len(keys), **counts}, indent=2) + "\n")
         return 0
-    out = _needed_out(options)
-    given = options.codec, options.projector, options.shard_samples, options.workers
-    _said(options, "renders", lambda progress: pack_renders(source, out, *given, progress.update))
+    given = source, _needed_out(options), options.codec, options.projector, options.shard_samples, options.workers
+    _said(options, "renders", lambda progress: pack_renders(*given, progress.update))
     return 0
 
 
 def _run_rooms(options: Options) -> int:
-    from bodyseg_data.rooms import OwnThings, chosen_kinds, pack_rooms  # needs numba, as sources do when they render
+    from bodyseg_data.rooms import OwnThings, chosen_kinds, pack_rooms, people_of  # needs numba, as rendering
 
     if options.samples is None:
         raise BadConfig(f"--source {ROOMS} needs --samples: how many rooms")
@@ -211,6 +210,7 @@ def _run_rooms(options: Options) -> int:
     own = None if options.scene is None else OwnThings(options.scene.absolute(), options.units, options.up)
     if options.plan:
         counts = {"source": ROOMS, "views": options.samples, options.split: options.samples, "kinds": kinds}
+        counts |= {"people": sum(len(bodies) for _, bodies in people_of(options.split, options.poses))}
         counts |= {} if own is None else {"scene": [name for name, _ in own.surfaces()]}
         sys.stdout.write(json.dumps(counts, indent=2) + "\n")
         return 0

@@ -116,7 +116,7 @@ def pack_rooms(
     source = f"rooms without {lacking}" if lacking else "rooms"
     if poses:
         source += f", people in poses {' '.join(poses)}"
-        _people_of(split, poses)
+        people_of(split, poses)
     digest = "" if own is None else own.digest()
     if own is not None:
         _things_of(own, digest)  # read before anything is written
@@ -190,7 +190,7 @@ def _person(words: Any, vertices: Any, faces: Any, labels: Any, distance: Any, s
     return RoomPerson(Mesh(str(words[0]), vertices, faces), parts, str(words[1]))
 
 
-def _people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, list[BodyRef]]]:
+def people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, list[BodyRef]]]:
     """Sources of people, and their bodies in such poses; those of no source that has none. Raises BadConfig."""
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
@@ -206,7 +206,7 @@ def draw_people(split: Split, block: int, poses: tuple[str, ...] = ()) -> list[R
     # Not of `Draws`: rooms of the sets that are there have these people.
     rng, rig = np.random.default_rng((7, block, split == "train")), load_rig()
     found: list[RoomPerson] = []
-    listed = _people_of(split, poses)
+    listed = people_of(split, poses)
     while len(found) < _PEOPLE:
         source, bodies = listed[min(int(rng.random() < 0.4), len(listed) - 1)]  # of five, two are of the second source
         body = bodies[int(rng.integers(len(bodies)))]

@@ -14,7 +14,7 @@ from people_on_disk import PERSON, VERTICES, person
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
-from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.bodies.sources.labelled import LabelledScenes
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
@@ -163,14 +163,14 @@ def test_the_command_plans_packs_and_refuses(
     assert main([*words, "--samples", "2", "--kinds", "stool", "--workers", "1"]) == 0
     assert "2 samples" in capsys.readouterr().out
     assert main([*words, "--samples", "3", "--split", "test", "--plan"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
-        "source": "rooms",
-        "views": 3,
-        "test": 3,
-        "kinds": list(FURNISHINGS),
-    }
+    planned = json.loads(capsys.readouterr().out)
+    assert planned.pop("people") == sum(
+        body.split == "test" for name in ("open", "hard") for body in open_source(name).bodies()
+    )
+    assert planned == {"source": "rooms", "views": 3, "test": 3, "kinds": list(FURNISHINGS)}
     wrong = {
         "needs --samples": [],
+        "no body of wide and everyday has a pose like flying": ["--samples", "1", "--poses", "flying", "--plan"],
         "samples must be": ["--samples", "0"],
         "found 'sofas'": ["--samples", "1", "--without", "sofas"],
         "--views does not go with --source rooms": ["--samples", "1", "--views", "2"],
