@@ -221,8 +221,7 @@ def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, whe
     """Labels that stand in the mesh's own file.
 
     wanted: "groups", "objects", "materials", "nodes", "colours", or "property NAME"; None: the first that is there of
-    a property that holds labels, names of polygons, and colours. Raises BadMesh, naming `where`, for a mesh without
-    such.
+    a property that holds labels, names of polygons, and colours. Raises BadMesh, naming `where`, if there are none.
     """
     kind, _, name = (wanted or "").partition(" ")
     if wanted is not None and kind not in (*NAMING, "colours", "property"):

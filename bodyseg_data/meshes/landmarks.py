@@ -68,8 +68,7 @@ class LandmarkSet:
     """The landmarks of one topology, constructed by `load_landmarks` and `parse_landmarks`, which check all fields.
 
     source: file or name it was read from, for messages. topology: description of its meshes. vertex_count, face_count:
-    of those meshes. vertices: index of each landmark's vertex, in the order of `LANDMARKS`. ignored: other names
-    in the file.
+    of those meshes. vertices: index of each landmark's vertex, in the order of `LANDMARKS`. ignored: names of others.
     """
 
     source: str

@@ -1,7 +1,6 @@
 """From finished renders to shards, in the source's order.
 
-Of the first renders, what camera and projector see is compared: whether the two can be of one scene, as the rig places
-them.
+Of the first renders, what camera and projector see is compared: whether both can be of one scene by the rig.
 """
 
 import json

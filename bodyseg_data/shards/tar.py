@@ -141,8 +141,7 @@ def _read_header(block: bytes) -> tuple[str, bytes, int]:
 
 
 class ShardReader:
-    """Reader of single samples by their index in the manifest, with what columns have for them; each is checked against
-    its CRC-32.
+    """Reader of single samples by their index in the manifest, with what columns have for them, all checked by CRC-32.
 
     It keeps no open file, so it may be forked, pickled and used by several threads; opening a file for each sample
     takes a hundredth of the time of decoding.

@@ -87,9 +87,7 @@ class Scores:
         return self.per_image.add(counts)
 
     def merge(self, other: Scores) -> None:
-        """Add the counts of other images. Raises BadConfig unless both have the same classes, and both confidences or
-        neither.
-        """
+        """Add the counts of other images. Raises BadConfig for other classes, or confidences in one alone."""
         differing = self.label_map.difference(other.label_map)
         if differing is not None:
             raise BadConfig(f"scores to merge must be of the same labels, found {differing}")

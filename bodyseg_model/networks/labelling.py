@@ -112,8 +112,7 @@ def interpolation(size: int, stride: int) -> Axis:
 def label_rows(
     scores: Any, range_m: Any, stride: Any, down: Any, across: Any, first: Any, last: Any, labels: Any, confidence: Any
 ) -> None:
-    """As `label_pixels`, of one image, from one row of squares between scores to before another; square 0 is before
-    all.
+    """As `label_pixels`, of one image, from one row of squares between scores to before another; 0 is before all.
 
     Pixels between the same four scores, `stride` x `stride` of them, are labelled together: the same classes count for
     all of them, and each class is interpolated, compared and summed for all of them in loops that fit a processor's

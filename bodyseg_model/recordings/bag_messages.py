@@ -120,7 +120,7 @@ def bag_recording(
         camera, no_camera = None, str(error)
     return stored_recording(
         path,
-        _Images(bag, found, floating),
+        _Images(opener, path, bag, found, floating),
         [time / 1e9 for time in found.times_ns],
         floating,
         step_m,
@@ -134,9 +134,13 @@ def bag_recording(
 class _Images(FrameSource):
     """Images of one topic. The last message stays decoded, since its header is often read after its pixels."""
 
-    def __init__(self, bag: Bag, topic: Topic, floating: bool) -> None:
+    def __init__(self, opener: Callable[[Path], Bag], path: Path, bag: Bag, topic: Topic, floating: bool) -> None:
         self._bag, self._topic, self._floating = bag, topic, floating
+        self._place = opener, path, topic.name, topic.kind
         self._last: tuple[int, Any] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _opened_again, (*self._place, self._floating)  # another process opens the file itself
 
     def read(self, index: int) -> NDArray[Any]:
         image = (_compressed_image if self._topic.kind == COMPRESSED else _plain_image)(self._message(index))
@@ -154,6 +158,12 @@ class _Images(FrameSource):
                 self._last = None  # not two messages at once
                 self._last = index, decode(self._bag, self._topic, index)
             return self._last[1]
+
+
+def _opened_again(opener: Callable[[Path], Bag], path: Path, name: str, kind: str, floating: bool) -> _Images:
+    bag = opener(path)
+    (topic,) = (each for each in bag.topics if (each.name, each.kind) == (name, kind))
+    return _Images(opener, path, bag, topic, floating)
 
 
 def _first_message(bag: Bag, topic: Topic) -> Any:

@@ -1,7 +1,6 @@
 """Frames of a range sensor at the paths of a command: PNGs in files or folders, and recordings of any format.
 
-Their result files have names that are unique among all frames of a call. Frames that cannot be read are skipped within
-a budget.
+Their result files' names are unique among all frames of a call. Frames that cannot be read are skipped, up to a budget.
 """
 
 import re

@@ -334,8 +334,7 @@ class Segmenter:
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network
-        takes longer for each size of views, and each number of them together, that it has not met. Further calls do
-        nothing.
+        takes longer for each size and number of views that it has not met. Further calls do nothing.
         """
         if self._prepared:
             return

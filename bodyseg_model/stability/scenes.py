@@ -148,8 +148,7 @@ def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDA
     """The range image of a stored sample under a condition of a "stored" sweep, uint16 [H, W], in the rig's steps.
 
     Pixels that the corruption removes are 0; those that it adds have no label. Draws depend on seed and sample alone,
-    so a greater strength removes the pixels of a smaller one, and more. An unchanged image is returned as it is, not
-    copied.
+    so a greater strength removes the pixels of a smaller one, and more. An unchanged image is not copied.
     """
     if condition == CLEAN["stored"]:
         return sample.range

@@ -18,8 +18,7 @@ Optimisers = Sequence[torch.optim.Optimizer]
 
 class Muon(torch.optim.Optimizer):
     """Momentum whose every update is an orthogonal matrix (Jordan et al., "Muon: an optimizer for hidden layers in
-    neural networks", 2024): all directions of a layer's weights move alike, not just the few that gradients are large
-    in.
+    neural networks", 2024): all directions of a layer's weights move alike, not just those of large gradients.
 
     Weights [O, I, h, w] are taken as a matrix of O rows. An update has a root mean square of 0.2 of the learning rate,
     as AdamW's has (Liu et al., "Muon is scalable for LLM training", 2025).

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import image, write_mcap, write_ros1
+from bags import image, write_mcap, write_ros1, write_ros2
 from kinect_mkv import write_mkv
 from PIL import Image
 from pngs import RAMP, png
@@ -212,6 +212,8 @@ def written(kind: str, path: Path) -> list[Frame]:
         write_mkv(path, {"DEPTH": NOISE})
     elif kind == "bag":
         write_ros1(path, messages, chunk_size=1)
+    elif kind == "ros2":
+        write_ros2(path, messages)
     else:
         write_mcap(path, messages, chunk_size=1)
     return find_frames([path])
@@ -232,7 +234,7 @@ def test_threads_may_read_a_recording_at_once(kind: str, tmp_path: Path) -> None
         sys.setswitchinterval(before)
 
 
-@pytest.mark.parametrize("kind", ["npz", "mkv", "mcap"])
+@pytest.mark.parametrize("kind", ["npz", "mkv", "bag", "ros2", "mcap"])
 def test_frames_are_pickled_after_some_are_read(kind: str, tmp_path: Path) -> None:
     frames = written(kind, tmp_path)
     frames[3].read()
