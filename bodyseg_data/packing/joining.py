@@ -126,7 +126,7 @@ def _all_fields(parts: Sequence[Manifest], folders: Sequence[Path]) -> Fields:
 def _cut(
     parts: Sequence[Manifest], folders: Sequence[Path], shard_samples: int
 ) -> dict[str, tuple[Split, list[_Place]]]:
-    """Name of each shard -> its split and its samples in the order of keys. Raises BadConfig for a key of two."""
+    """Name of each shard -> its split, and its samples by key. Raises BadConfig for a key that two parts have."""
     homes: dict[str, int] = {}
     places: dict[Split, list[_Place]] = {split: [] for split in SPLITS}
     for number, part in enumerate(parts):

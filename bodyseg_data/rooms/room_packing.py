@@ -191,7 +191,9 @@ def _person(words: Any, vertices: Any, faces: Any, labels: Any, distance: Any, s
 
 
 def people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, list[BodyRef]]]:
-    """Sources of people, and their bodies in such poses; those of no source that has none. Raises BadConfig."""
+    """The sources of a split's people, each with its bodies in such poses; those with none are left out. Raises
+    BadConfig if nobody has such a pose.
+    """
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
     chosen = {*in_poses([*itertools.chain(*listed)], poses, " and ".join(_SOURCES[split]))}
