@@ -199,7 +199,7 @@ def _run_renders(options: Options) -> int:
 
 
 def _run_rooms(options: Options) -> int:
-    from bodyseg_data.rooms import OwnThings, chosen_kinds, pack_rooms, people_of  # needs numba, as rendering
+    from bodyseg_data.rooms import OwnThings, chosen_kinds, pack_rooms, people_of  # needs numba, as rendering does
 
     if options.samples is None:
         raise BadConfig(f"--source {ROOMS} needs --samples: how many rooms")

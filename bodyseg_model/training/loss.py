@@ -160,7 +160,7 @@ def part_weights(counts: NDArray[Any], balance: float) -> torch.Tensor:
     """Weights of the classes, float32 [C]: each class's share of all pixels to the power of -balance, scaled so that
     the mean weight of a pixel is 1.
 
-    counts: int64 or float64 [C], pixels of each class, not all 0. Classes without one weigh as much as the rarest.
+    counts: int64 or float64 [C], pixels of each class, not all 0. Classes without one weigh as the rarest with one.
     """
     shares = np.maximum(counts, counts[counts > 0].min()).astype(np.float64)
     shares /= shares.sum()
