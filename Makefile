@@ -27,15 +27,13 @@ demo: $(VENV)/.demo
 # wait for each other.
 TESTS := OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-# Tests that run whole benches, small: a fifth of the time of all.
-MEASURING := $(addprefix tests/benches/,data fuzzing landmarks model)
-
 # Rules of structure are in `check`.
 test: install
-	$(TESTS) --ignore tests/test_structure.py $(MEASURING:%=--ignore %)
+	$(TESTS) --ignore tests/test_structure.py --ignore tests/benches
 
+# Tests of what makes the results, whole benches among them, small: a quarter of the time of all.
 test-benches: install
-	$(TESTS) $(MEASURING)
+	$(TESTS) tests/benches
 
 # Folders and files whose tests call compiled loops.
 LOOPED := tests/machine tests/labels tests/artifacts tests/segmentation tests/training/test_geometric.py tests/training/test_mirror.py \
