@@ -57,6 +57,9 @@ class RuntimeNetwork(Network):
         }
         self.eval()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_sessions": {}}  # another process, or a copy, makes its own
+
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores; see `Network.scores`. Raises BadConfig for a graph that cannot, or gives others."""
         check_range_images(range_m)
@@ -148,9 +151,7 @@ def load_network(path: Path | str | None = None, *, dense: bool = False) -> Trai
 
 
 def backend_of(network: Network) -> dict[str, Any]:
-    """Name and version of the backend that computes a network, and its precision, as plain JSON; and `flip_average`,
-    true, for a `FlipAverage`.
-    """
+    """Name, version and precision of a network's backend, as plain JSON; for a `FlipAverage` also that it is one."""
     if isinstance(network, FlipAverage):
         return {**backend_of(network.network), "flip_average": True}
     if isinstance(network, RuntimeNetwork):

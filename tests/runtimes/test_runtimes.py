@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import gc
 import json
 import os
+import pickle
 import signal
 import sys
 import warnings
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -26,7 +29,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine import computes_bfloat16
 from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import main
-from bodyseg_model.networks import build, load_network, predict, save_network, wrapped
+from bodyseg_model.networks import Network, build, load_network, predict, save_network, wrapped
 from bodyseg_model.runtimes import (
     OPSET,
     backend_of,
@@ -302,6 +305,15 @@ def test_a_network_on_a_backend_keeps_its_precision_where_none_is_asked_for() ->
     assert on_backend(network) is network
     assert backend_of(on_backend(network, "openvino"))["precision"] == "bfloat16"
     assert backend_of(on_backend(network, "openvino", "float32"))["precision"] == "float32"
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda network: pickle.loads(pickle.dumps(network))])
+@pytest.mark.parametrize("backend", ["onnxruntime", "openvino"])
+def test_a_network_that_has_answered_can_be_sent_to_a_worker(backend: str, again: Callable[[Network], Network]) -> None:
+    pytest.importorskip(backend)
+    network = on_backend(build("compact", TINY, seed=3).eval(), backend)
+    before = predict(network, frames(1)).labels
+    assert torch.equal(predict(again(network), frames(1)).labels, before)
 
 
 def test_sessions_compute_in_as_many_threads_as_torch() -> None:
