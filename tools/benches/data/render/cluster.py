@@ -25,7 +25,7 @@ from bodyseg_data.shards import MANIFEST_NAME
 _VIEWS: Final = 54
 """Views of a body, and so of a job."""
 
-_IDLE_S: Final = 2.0
+_IDLE_S: Final = 20.0
 """Seconds for which idle processes are measured: Dask's take time while they wait, too."""
 
 _PROCESSES: Final = True
@@ -159,13 +159,15 @@ def _packed(packing: Packing, workers: int, nodes: Any, folder: Path) -> tuple[f
             workers_s, scheduler_s, packer_s = (end - begin for begin, end in zip(before, after, strict=True))
             return seconds, (workers_s, scheduler_s, packer_s)
 
+        measured(lambda: None)  # the first question takes longer
+        _, asking = measured(lambda: None)  # as much as a job, or more
         waited, idle = measured(lambda: time.sleep(_IDLE_S))
         seconds, taken = measured(lambda: pack(packing, folder / "shards", engine.executor, workers))
-    worker, scheduler, packer = (each / waited for each in idle)
+    worker, scheduler, packer = (max(each - own, 0.0) / waited for each, own in zip(idle, asking, strict=True))
     count = len(packing.bodies()) * len(packing.views) / 1e3
     costs = Costs(
-        max(taken[0] - worker * seconds, 0.0) / count,
-        max(taken[1] - scheduler * seconds, 0.0) / count,
-        max(taken[2] - packer * seconds, 0.0) / count,
+        max(taken[0] - asking[0] - worker * seconds, 0.0) / count,
+        max(taken[1] - asking[1] - scheduler * seconds, 0.0) / count,
+        max(taken[2] - asking[2] - packer * seconds, 0.0) / count,
     )
     return seconds, costs, (worker, scheduler, packer)
