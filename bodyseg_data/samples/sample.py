@@ -71,6 +71,8 @@ Value = str | int | float | bool | tuple[float, ...]
 FIELD_KINDS: Final[dict[str, type]] = {"text": str, "int": int, "float": float, "flag": bool, "numbers": tuple}
 """Kinds of fields by the name that files give them."""
 
+_KINDS: Final = {accepted: kind for kind, accepted in FIELD_KINDS.items()}
+
 MOST_FIELDS: Final = 64
 """Largest number of fields of a description."""
 
@@ -157,14 +159,13 @@ def plain_value(value: Any) -> Any:
 
 def kind_of(value: Any, name: str) -> str:
     """Return the kind of a field's value (`FIELD_KINDS`). Raises BadSample, naming the field, for one of no kind."""
-    kind = next((kind for kind, accepted in FIELD_KINDS.items() if type(value) is accepted), None)
-    if kind is None:
+    if (kind := _KINDS.get(type(value))) is None:
         kinds = "text, a whole number, a number, true or false, or a tuple of numbers"
         raise BadSample(f"field {name!r} must be {kinds}, found {value!r}")
     if kind == "int" and abs(value) >= 1 << 53:
         raise BadSample(f"field {name!r} must be below 2**53, which JSON readers can tell apart, found {value!r}")
-    numbers = value if kind == "numbers" else (value,) if kind == "float" else ()
-    if not all(type(each) is float and math.isfinite(each) for each in numbers) or len(numbers) > 64:
+    numbers = value if kind == "numbers" else (value,) if kind == "float" else None
+    if numbers and not (len(numbers) <= 64 and all(type(each) is float and math.isfinite(each) for each in numbers)):
         raise BadSample(f"field {name!r} must hold finite numbers, at most 64, found {value!r}")
     if kind == "text" and not value.isprintable():
         raise BadSample(f"field {name!r} must be text that can be printed, found {value!r}")
