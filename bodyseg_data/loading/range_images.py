@@ -49,7 +49,6 @@ from bodyseg_data.samples import OccluderName, ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RIG_FIELD,
     TALLY,
-    CheckedFile,
     Manifest,
     Place,
     RetryPolicy,
@@ -168,8 +167,8 @@ class RangeImages(ImageSet):
         self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields, self.manifest.rigs)
         self._samples = self.selection.choose(self.manifest, str(path))
         chosen = self._samples.shards
-        files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
-        files += [column.shards[number] for column in self.columns.values() if column.planes for number in chosen]
+        read_from = [self.manifest.shards, *(column.shards for column in self.columns.values() if column.planes)]
+        files = (shards[number] for shards in read_from for number in chosen)  # of a local set, none is asked for
         self.reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
         self.set_epoch(epoch)
 
