@@ -151,7 +151,7 @@ def load_network(path: Path | str | None = None, *, dense: bool = False) -> Trai
 
 
 def backend_of(network: Network) -> dict[str, Any]:
-    """Name, version and precision of a network's backend as plain JSON; of a `FlipAverage`, `flip_average`, true, too."""
+    """Name, version and precision of a network's backend, plain JSON; `flip_average`, true, for a `FlipAverage`."""
     if isinstance(network, FlipAverage):
         return {**backend_of(network.network), "flip_average": True}
     if isinstance(network, RuntimeNetwork):
