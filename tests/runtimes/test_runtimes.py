@@ -307,7 +307,9 @@ def test_a_network_on_a_backend_keeps_its_precision_where_none_is_asked_for() ->
     assert backend_of(on_backend(network, "openvino", "float32"))["precision"] == "float32"
 
 
-@pytest.mark.parametrize("again", [copy.deepcopy, lambda network: pickle.loads(pickle.dumps(network))])
+@pytest.mark.parametrize(
+    "again", [copy.deepcopy, lambda network: pickle.loads(pickle.dumps(network))], ids=["copied", "pickled"]
+)
 @pytest.mark.parametrize("backend", ["onnxruntime", "openvino"])
 def test_a_network_that_has_answered_can_be_sent_to_a_worker(backend: str, again: Callable[[Network], Network]) -> None:
     pytest.importorskip(backend)
