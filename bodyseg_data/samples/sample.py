@@ -164,7 +164,7 @@ def kind_of(value: Any, name: str) -> str:
         raise BadSample(f"field {name!r} must be {kinds}, found {value!r}")
     if kind == "int" and abs(value) >= 1 << 53:
         raise BadSample(f"field {name!r} must be below 2**53, which JSON readers can tell apart, found {value!r}")
-    numbers = value if kind == "numbers" else (value,) if kind == "float" else None
+    numbers = value if kind == "numbers" else (value,) if kind == "float" else ()
     if numbers and not (len(numbers) <= 64 and all(type(each) is float and math.isfinite(each) for each in numbers)):
         raise BadSample(f"field {name!r} must hold finite numbers, at most 64, found {value!r}")
     if kind == "text" and not value.isprintable():

@@ -160,14 +160,12 @@ def _packed(packing: Packing, workers: int, nodes: Any, folder: Path) -> tuple[f
             return seconds, (workers_s, scheduler_s, packer_s)
 
         measured(lambda: None)  # the first question takes longer
-        _, asking = measured(lambda: None)  # as much as a job, or more
+        _, asking = measured(lambda: None)  # what it takes itself, which is no cost of what it measures
         waited, idle = measured(lambda: time.sleep(_IDLE_S))
         seconds, taken = measured(lambda: pack(packing, folder / "shards", engine.executor, workers))
     worker, scheduler, packer = (max(each - own, 0.0) / waited for each, own in zip(idle, asking, strict=True))
     count = len(packing.bodies()) * len(packing.views) / 1e3
-    costs = Costs(
-        max(taken[0] - asking[0] - worker * seconds, 0.0) / count,
-        max(taken[1] - asking[1] - scheduler * seconds, 0.0) / count,
-        max(taken[2] - asking[2] - packer * seconds, 0.0) / count,
-    )
-    return seconds, costs, (worker, scheduler, packer)
+    rates: Usage = worker, scheduler, packer
+    above_idle = zip(taken, asking, rates, strict=True)
+    costs = Costs(*(max(spent - own - rate * seconds, 0.0) / count for spent, own, rate in above_idle))
+    return seconds, costs, rates
