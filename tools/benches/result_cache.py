@@ -41,6 +41,7 @@ NEUTRAL: Final = frozenset(
             "zstandard",
         ),  # bytes pass unchanged
         *("llvmlite", "numba"),  # compiled loops compute the same bits as NumPy
+        *("cv2", "datasets", "litdata", "pyarrow"),  # compared with, and often absent: results name their versions
     ]
 )
 """Libraries whose version, or absence, changes no result."""
