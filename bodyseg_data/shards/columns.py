@@ -225,6 +225,8 @@ class ColumnWriter:
                     self._finish()
                     self._records = {}
             finally:
+                if self._records:
+                    (self._folder / column_file(self._name)).unlink(missing_ok=True)
                 for record in self._records.values():
                     (self._folder / record.name).unlink(missing_ok=True)
 

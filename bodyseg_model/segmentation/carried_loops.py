@@ -13,6 +13,7 @@ import numpy as np
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import compiled
+from bodyseg_data.rigs import MAX_SIDE
 
 _kernel = partial(compiled, feature="carrying labels through a video")
 
@@ -29,7 +30,7 @@ _SHARE_BITS: Final = np.uint32(10)
 _HALF: Final = np.float32(0.5)
 _UNIT: Final = np.float32(UNIT)
 _NEAREST_M: Final = np.float32(0.1)  # least range at which a place is looked up
-_SHIFT: Final = np.float32(4096)  # makes coordinates positive, so that truncation rounds down
+_SHIFT: Final = np.float32(MAX_SIDE)  # makes coordinates positive, so that truncation rounds down
 _UNMOVED: Final = np.float32(0.005)  # weight of no displacement beyond the body's motion
 _ROUNDS: Final = 2
 _SWEEPS: Final = 4

@@ -151,10 +151,21 @@ class MarkedRecording:
 
     @cached_property
     def fours(self) -> tuple[tuple[MarkedFrame, ...], ...]:
-        """Each four successive frames, none twice, that a driver has not repeated."""
-        before = (self.frames[-1], *self.frames)
-        fresh = [b for a, b in zip(before, self.frames, strict=False) if (a.stored != b.stored).any()]
-        return tuple(tuple(fresh[first : first + 4]) for first in range(0, len(fresh) - 3, 4))
+        """Frames a, b, c and d, none twice: b follows a, and d follows c. What a driver repeats is left out."""
+        successors = {b for _, b in self.pairs}
+        twos: list[tuple[MarkedFrame, MarkedFrame]] = []
+        first: MarkedFrame | None = None
+        for number, frame in enumerate(self.frames):
+            if number not in successors:
+                first = None
+            elif not (frame.stored != self.frames[number - 1].stored).any():
+                continue
+            if first is None:
+                first = frame
+            else:
+                twos.append((first, frame))
+                first = None
+        return tuple((*one, *other) for one, other in zip(twos[::2], twos[1::2], strict=False))
 
     @cached_property
     def _sways(self) -> bool:

@@ -168,11 +168,11 @@ def part_weights(counts: NDArray[Any], balance: float) -> torch.Tensor:
     return torch.from_numpy((weights / (weights * shares).sum()).astype(np.float32))
 
 
-def class_pixels(images: ImageSet) -> NDArray[np.int64]:
-    """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
+def class_pixels(images: ImageSet) -> NDArray[np.float64]:
+    """Mean number of pixels of each class, [C], in clean samples spread evenly over the set."""
     counts = np.zeros(256, np.int64)
     ends = np.cumsum([len(each) for each in images.sets])  # sets of a mixture may come to its classes by other maps
-    for index in images.evenly_sampled(_SAMPLES_FOR_WEIGHTS).tolist():
+    for index in (chosen := images.evenly_sampled(_SAMPLES_FOR_WEIGHTS).tolist()):
         table = images.sets[int(np.searchsorted(ends, index, "right"))].label_map.table
         counts += np.bincount(table[images.clean(index).labels.ravel()], minlength=256)
-    return counts[: len(images.label_map)]
+    return counts[: len(images.label_map)] / len(chosen)

@@ -50,7 +50,7 @@ class Turns:
         return {"turns": [{"weight": weight, **images.identity()} for images, weight in parts]}
 
     def class_pixels(self) -> NDArray[np.float64]:
-        """Pixels of each class, [C], in clean samples spread evenly over all images, each in its share."""
+        """Mean number of pixels of each class, [C], in clean samples of all images, each in its share."""
         found: NDArray[np.float64] = self._shares @ np.stack([class_pixels(each) for each in self.images])
         return found
 
@@ -105,6 +105,8 @@ def mixed(
     for size in dict.fromkeys(images.shape for images in sets):
         same = [part for part in parts if part[0].shape == size]
         weight = sum(weight for _, weight in same)
+        if total > 0 and not any(weight for _, weight in same):
+            continue
         mixture = Mixture(same, samples and max(1, round(samples * weight / (total or 1))), seed)  # checks all weights
         found.append((same[0][0] if len(same) == 1 and samples is None else mixture, weight))
     return found[0][0] if len(found) == 1 else found

@@ -94,6 +94,18 @@ def test_a_body_too_small_for_a_cell_keeps_the_networks_labels(nearest_m: float)
         np.testing.assert_array_equal(call(carried, range_m, labels), labels)
 
 
+def test_a_still_body_keeps_its_labels_in_the_last_columns_of_the_widest_image() -> None:
+    camera = Camera(40, 8192, 4000.0, (4096.0, 20.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    range_m = np.zeros((40, 8192), np.float32)
+    range_m[:, 7900:8190] = 2.0
+    labels = np.where(range_m > 0, np.uint8(3), np.uint8(BACKGROUND))
+    carried = CarriedLabels()
+    for _ in range(3):
+        call(carried, range_m, labels, camera=camera)
+    doubtful = np.where(range_m > 0, np.uint8(4), labels)
+    np.testing.assert_array_equal(call(carried, range_m, doubtful, 0.3, camera), labels)
+
+
 def test_flicker_of_a_still_body_goes() -> None:
     range_m, labels = pillar()
     carried = CarriedLabels()

@@ -17,7 +17,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.recordings import Skipping, find_frames, frame_camera
 from bodyseg_model.segmentation import Background
 from bodyseg_model.sensor_fit import read_recording
-from bodyseg_model.sensor_fit.recording import chosen_frames
+from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording, chosen_frames
 
 CAMERA = frame_camera((60, 80), "a frame", focal_px=100.0).camera
 
@@ -66,6 +66,34 @@ def test_frames_beside_one_that_is_skipped_are_no_neighbours(tmp_path: Path) -> 
     (tmp_path / "2.png").write_bytes(b"no PNG")
     recording = read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0, Skipping(1))
     assert len(recording.frames) == 4 and recording.pairs == ((1, 2), (2, 3))
+
+
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [
+        ("ABCD EFGH IJKL", "ABCD EFGH IJKL"),
+        ("AACD EFGH", "ACEF"),  # the driver gave the first frame twice; D and G, H have nobody to be with
+        ("BCD EFGH", "BCEF"),
+        ("D EFGH", "EFGH"),
+        ("AABB CCDD", "ABCD"),
+        ("AAAA BBBB", ""),
+    ],
+)
+def test_of_four_frames_two_and_two_are_neighbours_wherever_one_is_missing(frames: str, expected: str) -> None:
+    shown = {name: np.full((2, 2), number, np.uint16) for number, name in enumerate("ABCDEFGHIJKL")}
+    marked = tuple(
+        MarkedFrame(shown[name], shown[name] / np.float32(1000), shown[name] > 0) for name in frames if name != " "
+    )
+    starts = [len(group) for group in frames.split()]
+    pairs, first = [], 0
+    for length in starts:
+        pairs += [(at, at + 1) for at in range(first, first + length - 1)]
+        first += length
+    recording = MarkedRecording(marked, CAMERA, 0.001, tuple(pairs))
+    found = [
+        "".join(name for frame in four for name in shown if shown[name] is frame.stored) for four in recording.fours
+    ]
+    assert found == expected.split()
 
 
 @pytest.mark.parametrize("package", ["scipy", "skimage"])

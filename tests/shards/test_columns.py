@@ -19,7 +19,7 @@ from open_sets import cell_rig
 from servers import web_server
 
 from bodyseg_data import BadConfig, BadSample, BadShard, ColumnWriter, RangeImages, ShardWriter, loader
-from bodyseg_data.shards import LocalFolder, find_faults, read_manifest, write_manifest
+from bodyseg_data.shards import LocalFolder, columns, find_faults, read_manifest, write_manifest
 from bodyseg_data.shards import manifest as manifests
 from bodyseg_data.shards.columns import read_column
 from bodyseg_data.shards.manifest import _digest
@@ -195,6 +195,21 @@ def test_a_column_whose_writer_was_killed_before_it_was_listed_is_written_anew(c
         for number, key in enumerate(RangeImages(copy, "none").keys):
             column.write(key, 20 + number)
     assert hashes(copy) == written
+
+
+def test_a_column_that_cannot_be_listed_leaves_nothing(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = hashes(copy)
+
+    def full(path: Path, data: bytes) -> None:
+        if path.name == "columns.json":
+            raise OSError(28, "No space left on device")
+        path.write_bytes(data)
+
+    monkeypatch.setattr(columns, "write_atomically", full)
+    with pytest.raises(BadConfig, match="No space left on device"), ColumnWriter(copy, "age", "int") as column:
+        for number, key in enumerate(RangeImages(copy, "none").keys):
+            column.write(key, number)
+    assert hashes(copy) == before
 
 
 def test_a_writer_without_a_block_says_so(copy: Path) -> None:

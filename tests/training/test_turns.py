@@ -67,6 +67,14 @@ def test_parts_are_weighed_by_the_pixels_of_all_in_their_turns(small_set: Path) 
     np.testing.assert_allclose(Turns([(images[0], 3), (images[1], 1)]).class_pixels(), 0.75 * whole + 0.25 * small)
 
 
+def test_a_set_of_few_samples_weighs_by_its_turns_and_not_by_their_number(small_set: Path) -> None:
+    whole, _ = two_sizes(small_set)
+    one = RangeImages(small_set, "none", "train", only=[whole.keys[0]])
+    assert len(one) == 1 < len(whole)
+    mean = np.mean([class_pixels(RangeImages(small_set, "none", only=[key])) for key in whole.keys], 0)
+    np.testing.assert_allclose(Turns([(one, 1), (whole, 1)]).class_pixels(), 0.5 * class_pixels(one) + 0.5 * mean)
+
+
 def test_a_training_on_two_sizes_carries_on_with_the_same_bits(small_set: Path, tmp_path: Path) -> None:
     def run(out: str, **more: Any) -> None:
         parts: Any = [*zip(two_sizes(small_set), (1, 2), strict=True)]
@@ -95,6 +103,8 @@ def test_a_command_mixes_sets_of_one_size_and_lets_sizes_take_turns(
     assert isinstance(images, list)
     assert [len(each) for each, _ in images] == [8, 4]
     assert all(isinstance(each, Mixture) for each, _ in images)
+    alone = mixed([RangeImages(each, "all", "train") for each in (small_set, paper_set)], (0, 1), None, 0)
+    assert isinstance(alone, RangeImages) and alone.path == str(paper_set)
 
 
 def test_what_cannot_take_turns_is_refused(small_set: Path, tmp_path: Path) -> None:
