@@ -50,6 +50,7 @@ _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a hea
 _NEW_M2: Final = 0.002  # least surface at which a top begins
 _APART_M2: Final = 0.06  # least surface of what meets no other
 _FREE_M: Final = 0.05  # half the width over a top in which there is nothing else
+_ENLARGED: Final = 2.0  # from so many times on, nearest pixels would show as steps: at 8, a whole cell has one range
 _FARTHEST_M: Final = 16.4  # beyond it, nothing is measured: as in recordings in floating point
 
 Pixels = NDArray[np.intp]
@@ -143,7 +144,8 @@ class FinderView:
 
     network: of two classes, person and none, with the setting `focal_px`: the focal length, pixels, of the camera
     whose images it was trained on, with the principal point in their middle. A frame is resampled to that camera by
-    nearest pixels, but for one that would be shifted by no more than a pixel anywhere. Raises BadConfig for another.
+    nearest pixels, or linearly if it is enlarged by 2 and more, unless no pixel would be shifted by more than one.
+    Raises BadConfig for another network.
     """
 
     def __init__(self, network: Network, camera: Camera) -> None:
@@ -157,15 +159,20 @@ class FinderView:
         self._network, scale = network, focal_px / camera.focal_px
         sides = (camera.rows, camera.centre_px[1]), (camera.columns, camera.centre_px[0])
         axes = [_resampled(side, centre, scale) for side, centre in sides]
-        self._there, self._back = zip(*axes, strict=True)
+        self._there, self._back, self._between = zip(*axes, strict=True)
+        self._enlarged = scale >= _ENLARGED
         shifts = [np.abs(np.arange(len(there)) - there).max() for there in self._there]
         same = [len(there) for there in self._there] == [camera.rows, camera.columns]
         self._same = same and max(shifts) <= 1
 
     def __call__(self, range_m: Ranges) -> Ranges:
         """Probability of a person at every pixel of a frame, float32 [H, W]; 0 where nothing is measured (0)."""
-        rows, columns = self._there  # one axis after the other takes a third of the time of both at once
-        seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1))).take(rows, 0).take(columns, 1)
+        seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1)))
+        for axis in () if self._same else (0, 1):  # which take a third of the time of both at once
+            if self._enlarged:
+                seen = _interpolated(seen, self._between[axis], axis)
+            else:
+                seen = seen.take(self._there[axis], axis)
         image = torch.from_numpy(np.ascontiguousarray(seen))
         with torch.inference_mode():
             scores = self._network.scores(image[None, None].to(device_of(self._network)))[0].float().cpu().numpy()
@@ -184,12 +191,27 @@ class FinderView:
 view_of = lru_cache(maxsize=8)(FinderView)
 
 
-def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels]:
-    """Pixels along an axis: of the frame, at each of the resampled image, `side` for none; and the other way round."""
+def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels, Floats]:
+    """Pixels along an axis: of the frame, at each of the resampled image, `side` for none; and the other way round.
+    Then the places of the former in the frame, pixels from the middle of its first, -1 for none.
+    """
     half = max(1, round(max(centre, side - centre) * scale))
-    there = np.floor(centre + (np.arange(2 * half) + 0.5 - half) / scale).astype(np.intp)
+    places = centre + (np.arange(2 * half) + 0.5 - half) / scale
+    outside, there = (places < 0) | (places >= side), np.floor(places).astype(np.intp)
     back = np.floor(half + (np.arange(side) + 0.5 - centre) * scale).astype(np.intp)
-    return np.where((there < 0) | (there >= side), side, there), np.clip(back, 0, 2 * half - 1)
+    between = np.where(outside, -1.0, np.clip(places - 0.5, 0, side - 1))
+    return np.where(outside, side, there), np.clip(back, 0, 2 * half - 1), between
+
+
+def _interpolated(image: Ranges, places: Floats, axis: int) -> Ranges:
+    """Ranges between pixels along an axis, that of the nearer pixel beside one that was not measured.
+
+    image: with a last row and column of 0, which place -1 gets.
+    """
+    lower = np.floor(places).astype(np.intp)
+    share = np.expand_dims((places - lower).astype(np.float32), 1 - axis)
+    one, other = image.take(lower, axis), image.take(np.minimum(lower + 1, image.shape[axis] - 2), axis)
+    return np.where((one > 0) & (other > 0), one + (other - one) * share, np.where(share < 0.5, one, other))
 
 
 # People apart.

@@ -125,12 +125,34 @@ def test_other_cameras_are_resampled_by_nearest_pixels(camera: Camera) -> None:
     assert (found > 0.99).all(), "all that is measured has an answer"
 
 
+@pytest.mark.parametrize(("focal_px", "centre"), [(50.0, (25.0, 20.0)), (12.5, (25.0, 20.0)), (30.0, (10.0, 24.0))])
+def test_frames_that_are_enlarged_twice_and_more_are_interpolated(focal_px: float, centre: tuple[float, float]) -> None:
+    network, (x, y), scale = Nearer(limit_m=100.0), centre, focal_px / 100
+    frame = (1 + np.arange(40)[:, None] / 50 + np.arange(50) / 70).astype(np.float32)
+    frame[7, 9] = 0
+    found = FinderView(network, lens(40, 50, focal_px, centre))(frame)
+    seen = network.seen[0][0, 0].numpy()
+    rows, columns = (
+        middle + (np.arange(side) + 0.5 - side / 2) * scale - 0.5
+        for middle, side in ((y, seen.shape[0]), (x, seen.shape[1]))
+    )
+    between = (rows > 0)[:, None] & (rows < 39)[:, None] & (columns > 0) & (columns < 49)
+    far = (np.abs(rows - 7) >= 1)[:, None] | (np.abs(columns - 9) >= 1)
+    plane = 1 + rows[:, None] / 50 + columns / 70
+    np.testing.assert_allclose(seen[between & far], plane[between & far], rtol=1e-6)
+    beside = between & (np.abs(rows - 7) < 0.5)[:, None] & (np.abs(columns - 9) < 0.5)
+    assert beside.any() and (seen[beside] == 0).all()
+    inside = ((rows >= -0.5) & (rows < 39.5))[:, None] & (columns >= -0.5) & (columns < 49.5)
+    np.testing.assert_array_equal(seen > 0, inside & ~beside)
+    assert (found[frame > 0] > 0.99).all() and found[7, 9] == 0
+
+
 @given(st.integers(1, 700), st.floats(-0.5, 1.5), st.floats(0.05, 8))
 @example(1008, 0.5, 0.0875)  # its last pixel lies half a pixel beyond the resampled image
 def test_every_pixel_has_a_place_in_the_resampled_image_and_none_lies_beyond(
     side: int, middle: float, scale: float
 ) -> None:
-    there, back = finder._resampled(side, middle * side, scale)
+    there, back, _ = finder._resampled(side, middle * side, scale)
     assert len(back) == side and back.min() >= 0 and back.max() < len(there)
     (shown,) = np.nonzero(there < side)
     assert there.min() >= 0 and there.max() <= side

@@ -45,6 +45,21 @@ def test_real_frames_have_one_person_each(
         assert frame["bodies"][0]["range_m"] < 2, "not the wall"
 
 
+@pytest.mark.parametrize("apart", [4, 8])  # so that 2 or 1 of the sensor's pixels make a cell of the finder
+def test_people_are_found_in_frames_of_few_pixels(
+    apart: int, tmp_path: Path, shared_data: Callable[[str], Path]
+) -> None:
+    (frames := tmp_path / "frames").mkdir()
+    for number in (28, 40, 44):
+        with Image.open(shared_data("real/kinect_v1_room") / f"{number:03d}_depth.png") as picture:
+            Image.fromarray(np.asarray(picture)[::apart, ::apart].astype(np.uint16)).save(frames / f"{number}.png")
+    run(frames, "--focal", str(525 / apart), "--out", tmp_path / "out")
+    for number, frame in zip((28, 40, 44), each(tmp_path / "out"), strict=True):
+        with Image.open(shared_data("real/kinect_v1_room") / f"{number:03d}_person.png") as picture:
+            man = np.count_nonzero(np.asarray(picture)[::apart, ::apart])
+        assert 0.7 * man < frame["pixels"] < 1.4 * man
+
+
 def test_mirrored_frames_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], shared_data: Callable[[str], Path]
 ) -> None:
