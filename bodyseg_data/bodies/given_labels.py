@@ -5,6 +5,7 @@ between them has. A name is a class by classes.json.
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -199,7 +200,7 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
         rule = "a file of labels goes with a mesh of one node, as nothing says in which order several count"
         raise BadMesh(f"{path}: {rule}, found {content.nodes}: join them, or let names of nodes be the labels")
     said = {"faces": "face_labels", "vertices": "vertex_labels"}
-    of = next((of for of, name in said.items() if name in path.name.lower()), "")
+    of = next((of for of, name in said.items() if re.search(f"(?<![a-z]){name}", path.name.lower())), "")
     what = f"cannot read the labels {path}"
     with reported(what, BadMesh, OSError, ValueError, EOFError, RecursionError, SyntaxError, TokenError):
         refuse_special(path)

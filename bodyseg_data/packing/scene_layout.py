@@ -217,8 +217,8 @@ def _kind(value: Value, name: str, key: str) -> str:
 def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -> Images:
     """Ranges in metres, checked and copied."""
     image = as_array(given, f"{key}: {name}")
-    if image.dtype.kind != "f":
-        raise BadSample(f"{key}: {name} must be floats, in metres, found {image.dtype}")
+    if image.dtype.kind != "f" or image.dtype.itemsize == 2:  # whose steps are 2 mm beyond 2 m
+        raise BadSample(f"{key}: {name} must be floats of 32 or 64 bits, in metres, found {image.dtype}")
     _check_shape(image, name, shape, key)
     reach = 65535 * rig.range_step_m
     if image.size and not (image.min() >= 0 and image.max() <= reach):  # false for NaN too

@@ -194,7 +194,24 @@ def parse_sensor(text: str, where: str) -> Sensor:
         if isinstance(device, Camera):
             shape = device.rows, device.columns
             check_intrinsics(device.focal_px, device.centre_px, shape, f"rig {where}, [{key}]")
+    if found.rig is not None:
+        _check_light(found.rig, f"rig {where}")
     return found
+
+
+def _check_light(rig: Rig, where: str) -> None:
+    """Raise BadConfig if a projector lights nothing of the plane that the camera sees at the stand-off."""
+    points = rig.stand_off_m * rig.camera.pixel_rays()[::8, ::8].reshape(-1, 3)
+    for one in rig.by_projector():
+        device, (rotation, offset) = one.projector, one.camera_to_projector()
+        along, depth = np.split(points @ rotation.T + offset, [2], axis=1)
+        half = np.array([device.columns, device.rows]) / 2
+        from_middle = along * device.focal_px + (device.centre_px - half) * depth  # times the depth, which may be 0
+        if not ((depth > 0) & (np.abs(from_middle) < half * depth)).all(axis=1).any():
+            raise BadConfig(
+                f"{where}: a projector must light something that the camera sees {rig.stand_off_m:g} m away: "
+                f"found one at {list(device.position_m)} m that aims at {list(device.aims_at_m)} (x right, z ahead)"
+            )
 
 
 def rig_from_json(tree: Any) -> Rig:

@@ -445,7 +445,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "millimetres": (
         {"range_m": np.full((16, 20), 2000, np.uint16)},
-        "range_m must be floats, in metres, found uint16",
+        "range_m must be floats of 32 or 64 bits, in metres, found uint16",
+    ),
+    "halves": (
+        {"range_m": np.full((16, 20), 2, np.float16)},
+        "range_m must be floats of 32 or 64 bits, in metres, found float16",
     ),
     "far": (
         {"range_m": np.full((16, 20), 2000.0)},

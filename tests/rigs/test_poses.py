@@ -121,6 +121,7 @@ def test_a_rig_without_roll_is_stored_as_before_there_was_any() -> None:
 
 def test_a_device_may_look_straight_down_if_it_says_what_is_up_in_its_image() -> None:
     text = PAPER.replace("[0.0, 0.0, 2.5]  # assumed: the", "[0.0, 2.5, 0.0]\nup = [0, 0, 2]  #", 1)
+    text = text.replace("[0.0, 0.0, 2.5]     # assumed: toed", "[0.0, 2.5, 0.0]  #", 1)
     rig = parse_sensor(text, "x").rig
     assert rig.camera.axes == pytest.approx(np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]))
     assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig

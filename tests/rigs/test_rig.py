@@ -208,6 +208,12 @@ def test_another_rig_is_another_file(tmp_path: Path) -> None:
         ("[0.0, 0.0, 0.0]", '"123"', "'position_m' must be 3 finite numbers, found 123"),
         ("[0.0, 0.0, 0.0]", "[0.0, 0.0, inf]", "'position_m' must be 3 finite numbers"),
         ('name = "paper"', f'name = "{"x" * 41}"', "a rig's name must be one plain word of at most 40 letters"),
+        (
+            PAPER[PAPER.index("[-0.75,") :],
+            "[40.0, 0.0, 0.0]\naims_at_m = [40.0, 0.0, 2.5]",
+            r"rig x: a projector must light something that the camera sees 2.5 m away: "
+            r"found one at \[40.0, 0.0, 0.0\] m that aims at \[40.0, 0.0, 2.5\]",
+        ),
     ],
 )
 def test_a_broken_rig_file_is_refused_in_one_line(old: str, new: str, message: str) -> None:
@@ -250,6 +256,11 @@ def test_what_manifests_hold_of_a_rig_with_one_projector_is_pinned() -> None:
         ("rows = 640", "rows = 0", r"rig x, \[second_projector\]: Camera: rows must be from 1 to 8192, found 0"),
         ("[second_projector]", "[second_projector]\nfov = 3", r"rig x, \[second_projector\]: unknown 'fov'"),
         (SECOND[SECOND.index("position_m") :], "", r"rig x, \[second_projector\]: list 'position_m' is missing"),
+        (
+            SECOND[SECOND.index("aims_at_m") :],
+            "aims_at_m = [0.5, 0.0, -2.5]",
+            r"rig x: a projector must light .*: found one at \[0.5, 0.0, 0.0\] m that aims at \[0.5, 0.0, -2.5",
+        ),
         ("[0.5, 0.0, 0.0]", "[0.5, 0.0, -70.0]", "0.5 m behind a body 2.5 m away, .*: found 1 mm, which reach 65.53 m"),
     ],
 )

@@ -549,6 +549,12 @@ def test_as_many_faces_as_vertices_are_told_apart_by_the_files_name(tmp_path: Pa
     assert "4 vertices and as many faces" in reason(tmp_path)
     (tmp_path / "a.labels.npy").rename(tmp_path / "a.face_labels.npy")
     assert scene(tmp_path)[1].tolist() == [[0] * 3] * 3 + [[1] * 3]
+    (tmp_path / "a.face_labels.npy").rename(tmp_path / "surface_labels.npy")
+    write(
+        tmp_path / "scene.json",
+        {"format": "bodyseg scene 1", "meshes": [{"mesh": "a.obj", "labels": "surface_labels.npy"}]},
+    )
+    assert "4 vertices and as many faces" in reason(tmp_path)
 
 
 def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
