@@ -76,7 +76,7 @@ class LabelImage(NamedTuple):
     name: of its files; it may name folders. number: from 1, the same in every export. instances: uint16 [H, W], number,
     from 1, of a pixel's person or thing, 0: not known; None where nothing is counted. range: uint16 [H, W], steps of
     `step_m` metres, 0 = nothing measured; None: not known. sequence: of images that follow each other. time_s: of a
-    frame, seconds. tracks: numbers that instances keep from frame to frame.
+    frame, seconds. tracks: numbers that instances keep from frame to frame. split: of a set's sample.
     """
 
     name: str
@@ -88,6 +88,7 @@ class LabelImage(NamedTuple):
     sequence: str = ""
     time_s: float | None = None
     tracks: Mapping[int, int] = MappingProxyType({})
+    split: Split | None = None
 
 
 def run(options: Options) -> int:
@@ -169,7 +170,8 @@ def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Im
     numbers = {key: at for at, key in enumerate(chain.from_iterable(each.keys for each in images.manifest.shards), 1)}
 
     def each() -> Images:
-        for index in range(len(images)):
+        by_split = np.argsort(images.table()["split"] == "test", kind="stable")  # one after the other, as LeRobot's
+        for done, index in enumerate(by_split.tolist(), 1):
             sample = images.clean(index)
             labels, instances = images.label_map.table[sample.labels], None
             if plane is not None:
@@ -178,8 +180,8 @@ def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Im
                 instances = (labels != BACKGROUND).astype(np.uint16)
             ranges = images.augmentation_of(sample)(sample, images.epoch).range
             of_range = ranges, images.manifest.rig_of(sample).range_step_m, split_key(sample.key)[0]
-            yield LabelImage(sample.key, numbers[sample.key], labels, instances, *of_range)
-            progress(index + 1, len(images))
+            yield LabelImage(sample.key, numbers[sample.key], labels, instances, *of_range, split=sample.info.split)
+            progress(done, len(images))
 
     return images.label_map, each()
 
@@ -295,18 +297,20 @@ def _png(image: NDArray[Any], palette: NDArray[np.uint8] | None = None) -> bytes
 
 def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, panoptic: bool = False) -> None:
     """One annotation for every segment; for `panoptic` one for every image, and a PNG of ids, R + 256 G + 256^2 B."""
-    told_images, written, things = list[dict[str, Any]](), 0, False
+    told_images, written, counted = list[dict[str, Any]](), 0, {True: set[int](), False: set[int]()}
     with _path(folder, "panoptic.json" if panoptic else "annotations.json").open("w", encoding="utf-8") as file:
         file.write(_BEGINNING)
         for image in _with_ranges(folder, images):
-            (rows, columns), things = image.labels.shape, things or image.instances is not None
+            rows, columns = image.labels.shape
             size = {"width": columns, "height": rows, "range_step_m": image.step_m}
             name = f"{'' if image.range is None else 'range/'}{image.name}.png"  # else of a file of the frames
             told_images.append({"id": image.number, "file_name": name, **size})
             told_images[-1] |= {} if image.time_s is None else {"time_s": image.time_s}
+            told_images[-1] |= {} if image.split is None else {"split": image.split}
             entries, ids = list[dict[str, Any]](), np.zeros(image.labels.size, np.uint32)
             for facts, counts in segments(image):
                 ids[np.repeat(np.arange(len(counts)) % 2 > 0, counts)] = facts["id"]
+                counted[facts["instance"] > 0].add(facts["category_id"])
                 of_image = {"id": written + len(entries) + 1, "image_id": image.number}
                 runs = {**of_image, "segmentation": {"size": [rows, columns], "counts": compressed(counts)}}
                 entries.append(facts if panoptic else {**facts, **runs})
@@ -317,11 +321,13 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
                 entries = [{"image_id": image.number, "file_name": f"{image.name}.png", "segments_info": entries}]
             file.writelines(f"{',' * (written + at > 0)}\n{json.dumps(entry)}" for at, entry in enumerate(entries))
             written += len(entries)
-        kind = {"isthing": int(things)} if panoptic else {}
         categories, whole = [], "person" if label_map.of == PART_CLASSES else label_map.of.name
         for at, name in enumerate(label_map.names):
             own = {label_map.of.entries[member].within for member in label_map.members[at]}  # what it is a part of
             wider = (own.pop() if len(own) == 1 else None) or whole
+            # A class that no image shows is as most are.
+            thing = at + 1 in counted[True] or bool(counted[True] and at + 1 not in counted[False])
+            kind = {"isthing": int(thing)} if panoptic else {}
             categories.append({"id": at + 1, "name": name, "supercategory": wider, **kind})
         file.write(f'],\n"categories": {json.dumps(categories)},\n"images": {json.dumps(told_images)}}}\n')
 
@@ -354,6 +360,7 @@ def _lerobot(folder: Path, label_map: LabelMap, images: Images, options: Options
     picture = arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
     schema = arrow.schema({depth: picture, labels: picture, **kinds})
     episodes, rows, sequence, task = list[dict[str, Any]](), list[dict[str, Any]](), None, "label what the camera sees"
+    splits: dict[str, list[int]] = {}
     with parquet.ParquetWriter(_path(folder, "data/chunk-000/file-000.parquet"), schema) as writer:
         for frame, image in enumerate(images):
             if image.range is None:
@@ -363,9 +370,10 @@ def _lerobot(folder: Path, label_map: LabelMap, images: Images, options: Options
             if features != {**features, **pair} and frame:
                 raise BadConfig(f"images of LeRobot have one size and step, found another one: {image.name}")
             features |= pair
-            if image.sequence != sequence:
-                sequence, places = image.sequence, {"data/chunk_index": 0, "data/file_index": 0}
+            if (image.split, image.sequence) != sequence:
+                sequence, places = (image.split, image.sequence), {"data/chunk_index": 0, "data/file_index": 0}
                 places |= {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0, "dataset_from_index": frame}
+                splits.setdefault(image.split or "train", [len(episodes), 0])[1] = len(episodes) + 1
                 episodes.append({"episode_index": len(episodes), "tasks": [task], "length": 0, **places})
             within = episodes[-1]["length"]
             episodes[-1] |= {"length": within + 1, "dataset_to_index": frame + 1}
@@ -381,7 +389,8 @@ def _lerobot(folder: Path, label_map: LabelMap, images: Images, options: Options
     info: dict[str, Any] = {"codebase_version": "v3.0", "robot_type": None, "fps": options.fps, "video_path": None}
     info |= {"total_episodes": total, "total_frames": episodes[-1]["dataset_to_index"], "total_tasks": 1}
     info |= {"chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200, "features": features}
-    write_json(_path(folder, "meta/info.json"), {**info, "data_path": paths, "splits": {"train": f"0:{total}"}})
+    info |= {"data_path": paths, "splits": {split: f"{first}:{end}" for split, (first, end) in splits.items()}}
+    write_json(_path(folder, "meta/info.json"), info)
     # pandas, which reads the tasks, finds them as the index.
     column = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
     index = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns": [column]})

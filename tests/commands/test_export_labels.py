@@ -19,6 +19,7 @@ from bodyseg_data import ColumnWriter, RangeImages, ShardWriter
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelClass, load_label_map
 from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import split_key
 from bodyseg_model import runtimes
 from bodyseg_model.commands import cli
 from bodyseg_model.commands.export_labels import DENSE_POSE, LabelImage, compressed, segments
@@ -71,6 +72,7 @@ def test_coco_holds_labels_areas_boxes_and_ranges(coco: Path, figures_set: Path)
     assert {each["supercategory"] for each in found["categories"]} == {"person"}
     assert len(found["images"]) == len(images) and len({each["id"] for each in found["annotations"]}) > 30
     for index, image in enumerate(found["images"]):
+        assert image["split"] == "test"
         assert image["id"] == everywhere.index(images.keys[index]) + 1, "of the whole set, not of the split"
         again, clean = np.full((image["height"], image["width"]), BACKGROUND), images.clean(index).labels
         np.testing.assert_array_equal(pixels(coco / image["file_name"]), images.image(index).range)
@@ -153,6 +155,7 @@ def test_instances_and_wider_classes_are_the_sets_own(tmp_path: Path) -> None:
         out.write(key="scene", range_m=range_m, labels=labels, split="train", planes={"instances": instances})
     found = tree(export(tmp_path / "out", tmp_path / "set", "panoptic") / "panoptic.json")
     assert [each["supercategory"] for each in found["categories"]] == ["room", "classes"]
+    assert [each["isthing"] for each in found["categories"]] == [0, 1], "no instance is a floor"
     assert [each["id"] for each in found["annotations"][0]["segments_info"]] == [1, 2 + 256 * 300]
     assert tree(tmp_path / "out" / "classes.json")[0] == {"name": "floor", "color": "#102030", "attributes": []}
 
@@ -217,6 +220,9 @@ def test_lerobot_gets_lossless_ranges_by_its_written_format(figures_set: Path, t
     frames = rows("data/*/*.parquet", datasets.Features(kinds))
     assert len(frames) == len(images) and len(episodes) == info["total_episodes"] > 1
     assert info["features"]["observation.images.depth"]["info"]["range_step_m"] == images.step_m
+    subjects = [split_key(key)[0] for key in images.keys]
+    ends = [len({*subjects[:end]}) for end in (len(RangeImages(figures_set, "all", "train")), len(images))]
+    assert info["splits"] == {"train": f"0:{ends[0]}", "test": f"{ends[0]}:{ends[1]}"} and 0 < ends[0] < ends[1]
     for index, row in enumerate(frames):
         np.testing.assert_array_equal(np.asarray(row["observation.images.depth"]), images.image(index).range)
         np.testing.assert_array_equal(np.asarray(row["observation.images.labels"]), images.clean(index).labels)

@@ -205,7 +205,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "OpenGL's axes": (
         in_rig("1.5]", "-1.5]"),
-        "that the camera sees 1.5 m away: found one at [0.3, 0.0, 0.0] m that aims at [0.1, 0.0, -1.5] (x right, z ahead)",
+        "the camera sees 1.5 m away: found one at [0.3, 0.0, 0.0] m that aims at [0.1, 0.0, -1.5] (x right, z ahead)",
     ),
     "no rig": (in_set('rig = "rig.toml"', ""), "'rig' is missing"),
     "no classes": (in_set('classes = ["floor", "arm", "box"]', ""), "'classes' is missing"),
