@@ -105,7 +105,8 @@ class LabelMap:
                 raise BadConfig(f"{where}: {REST!r} must be alone in its class, found {members!r} in {name!r}")
         for each in joined:
             if each not in self.of.names and each != REST:
-                known = "the 33 landmarks" if self.of == PART_CLASSES else f"the classes {self.of.name!r}"
+                landmarks = "the 33 landmarks (for a set of other classes, give of=images.manifest.classes)"
+                known = landmarks if self.of == PART_CLASSES else f"the classes {self.of.name!r}"
                 raise BadConfig(f"{where}: {each!r} is none of {known}")
         for name, members in self.classes:
             if not members:

@@ -13,7 +13,7 @@ from typing import Final
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, check_int, reported, silent
 from bodyseg_data.packing.options import PACKING_VERSION
 from bodyseg_data.packing.scene_layout import fields_of
-from bodyseg_data.packing.shard_writer import part_name
+from bodyseg_data.packing.shard_writer import EMPTY_PART, part_name
 from bodyseg_data.packing.writing import claimed, digest_of, finished_shards, record_shard, writing_into
 from bodyseg_data.samples import SPLITS, Split
 from bodyseg_data.shards import (
@@ -79,7 +79,9 @@ def join(
 
 
 def _parts(folders: Sequence[Path]) -> list[Path]:
-    """The folders of sets; for a folder that holds parts, those of its parts. Raises BadConfig for a missing part."""
+    """The folders of sets; for a folder that holds parts, those of its parts that got scenes. Raises BadConfig for a
+    missing part.
+    """
     found: list[Path] = []
     for folder in folders:
         inside = sorted(folder.glob("part-?????-of-?????"))
@@ -93,7 +95,7 @@ def _parts(folders: Sequence[Path]) -> list[Path]:
         if missing or len(names) > count:
             wrong = f"{missing[0]} is missing" if missing else f"found {len(names)} parts"
             raise BadConfig(f"{folder} must hold {count} parts: {wrong}")
-        found += inside
+        found += [part for part in inside if not (part / EMPTY_PART).exists()]
     if not found:
         raise BadConfig("join needs the folder of at least one part")
     if len({folder.resolve() for folder in found}) < len(found):

@@ -50,6 +50,9 @@ from bodyseg_data.shards import (
 
 _LEARNED: Final = "learned.json"
 
+EMPTY_PART: Final = "no_scenes"
+"""File in the folder of a part that got no scenes, which `join` leaves out."""
+
 RigLike = Rig | str | Path
 Encoded = tuple[Split, dict[str, bytes]]
 """Split of a scene and its members, extension -> bytes."""
@@ -116,7 +119,7 @@ class ShardWriter:
         self._fields = None if fields is None else fields_of(fields, len(self._rigs))
         self._shard_samples = check_int("shard_samples", shard_samples, 1)
         self._workers = check_int("workers", workers, 0)
-        self._out = Path(out) / part_name(*part) if part is not None else Path(out)
+        self._out, self._is_part = Path(out) / part_name(*part) if part is not None else Path(out), part is not None
         self._progress = progress
         self._pool = executor
         self._layout: SceneLayout | None = None
@@ -295,7 +298,10 @@ class ShardWriter:
         for split in list(self._open):
             self._close(split)
         if self._layout is None or not self._records:
-            raise BadConfig(f"no scene was written: {self._out} gets no manifest")
+            if not self._is_part:
+                raise BadConfig(f"no scene was written: {self._out} gets no manifest")
+            write_atomically(self._out / EMPTY_PART, b"")
+            return
         if not (self._out / MANIFEST_NAME).exists():  # else nothing was written
             layout, records = self._layout, self._records.values()
             manifest = Manifest(
@@ -340,6 +346,7 @@ class ShardWriter:
         stored = {"fields": layout.fields.kinds, "projector": layout.projector, "planes": dict(layout.planes)}
         with writing_into(self._out):
             write_atomically(self._opened() / _LEARNED, json.dumps({**stored, "facing": layout.facing}).encode())
+            (self._out / EMPTY_PART).unlink(missing_ok=True)
 
     def _carry_on(self, state: Path) -> None:
         """Find the shards that an earlier run finished, and what it had learned."""

@@ -240,7 +240,9 @@ def read_rows(folder: Path, content: SetFile) -> SampleRows:
     with reported(f"{path} is not UTF-8", BadConfig, UnicodeDecodeError):
         text = read_bytes(path).decode("utf-8-sig")  # spreadsheets write a mark of byte order
     for line, row in _json_rows(text, path) if path.suffix == ".jsonl" else _csv_rows(text, path):
-        key, split, rig = row.pop("key", None), row.pop("split", content.split), row.pop("rig", "")
+        if "key" not in row:
+            raise BadConfig(f"{path}, line {line}: a row must have a 'key', found {', '.join(map(repr, row))}")
+        key, split, rig = row.pop("key"), row.pop("split", content.split), row.pop("rig", "")
         if not isinstance(key, str) or key in infos or not isinstance(rig, str):
             raise BadConfig(f"{path}, line {line}: 'key' and 'rig' are text, each key once, found {key!r}, {rig!r}")
         with reported(f"{path}, line {line}", BadConfig, BadSample, TypeError, ValueError):

@@ -154,7 +154,10 @@ def test_classes_are_joined_to_coarser_ones() -> None:
         ((), "there must be 1 to 33 classes, found none"),
         ((("a", ("Sellion",)), ("a", ("Nuchale",))), "a class is named once, found 'a' twice"),
         ((("a", ("Sellion",)), ("b", ("Sellion",))), "a landmark is named once, found 'Sellion' twice"),
-        ((("a", ("Nose",)),), "'Nose' is none of the 33 landmarks"),
+        (
+            (("a", ("Nose",)),),
+            "'Nose' is none of the 33 landmarks (for a set of other classes, give of=images.manifest.classes)",
+        ),
         ((("a", ("Sellion",)), ("b", ())), "the class 'b' must have a landmark, found none"),
     ],
 )

@@ -198,6 +198,21 @@ def test_joined_parts_are_the_same_files_however_they_were_divided(count: int, t
     assert files(whole) == files(tmp_path / "set")
 
 
+def test_a_part_may_get_no_scenes_and_some_later(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def joined(out: str) -> int:
+        return cli.main(["join", str(tmp_path / "parts"), "--out", str(tmp_path / out)])
+
+    write(tmp_path / "parts", [], part=(1, 2))
+    write(tmp_path / "parts", [], part=(0, 2))
+    assert joined("nobody") == 2 and "join needs the folder of at least one part" in capsys.readouterr().err
+    write(tmp_path / "parts", [0, 1], part=(0, 2))
+    assert joined("set") == 0
+    assert files(tmp_path / "set") == files(write(tmp_path / "whole", [0, 1]))
+    write(tmp_path / "parts", [2], part=(1, 2))
+    assert joined("all") == 0
+    assert files(tmp_path / "all") == files(write(tmp_path / "three", range(3)))
+
+
 def test_parts_that_do_not_belong_together_are_refused(
     tmp_path: Path, small_set: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -215,6 +215,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     "no row": (table("key,split\nscene-000,train\n"), "no row for 'scene-001'"),
     "no image": (table("key,split\n" + "".join(f"scene-00{n},train\n" for n in range(5))), "no images for 'scene-004'"),
     "split": (table("key,split\nscene-000,val\n"), "line 2: 'split' must be one of train, test"),
+    "no key": (table("Key,split\nscene-000,train\n"), "line 2: a row must have a 'key', found 'Key', 'split'"),
     "cells": (table("key,split\nscene-000\n"), "line 2: a row has a cell"),
     "field": (lambda folder: (folder / "samples.jsonl").write_text('{"key": "scene-000", "Robot": "r"}'), "line 1:"),
     "unprintable": (  # of the separators of lines, JSON allows some within a text
