@@ -277,7 +277,8 @@ CASES: dict[str, Case] = {
     "read frames in an unknown unit": (
         lambda: metres_a_step("inch"),
         BadConfig,
-        "a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm, found 'inch'",
+        "a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm; floating point needs none for metres: "
+        "found 'inch'",
     ),
     "label frames of another size": (
         lambda: Segmenter(build("compact"), LENS)(np.zeros((80, 60), np.float32)),

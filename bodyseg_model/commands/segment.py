@@ -219,7 +219,8 @@ def _remarks(
             f"{camera.camera.focal_px:.5g} px: are --focal, --rig and --turned right?"
         )
     if recording.skipped:
-        lines.append(f"{len(recording.skipped)} frames could not be read: summary.json lists them under skipped")
+        count = len(recording.skipped)
+        lines.append(f"{count} frame{'s' * (count > 1)} could not be read: see skipped in summary.json")
     if summary.doubted:
         lines.append(
             f"{summary.doubted / frames:.2g} things a frame that look like people got no label, as the network doubts "

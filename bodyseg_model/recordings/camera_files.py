@@ -8,6 +8,7 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -89,8 +90,9 @@ class FrameCameras:
         return self.common
 
     def to_json(self) -> dict[str, Any]:
-        """The common camera, and how many frames have their own, as plain JSON."""
-        common = {"origin": "each frame's own"} if self.common is None else self.common.to_json()
+        """The camera of all frames or of those without their own, and how many have their own, as plain JSON."""
+        camera = self.first if len({replace(own, where="") for own in self._own.values()}) == 1 else None
+        common = {"origin": "each frame's own"} if (shared := self.common or camera) is None else shared.to_json()
         return {**common, **({"frames_with_their_own": len(self._own)} if self._own else {})}
 
 

@@ -116,7 +116,8 @@ def frame_camera(
     for sensor in sensors:
         if (sensor.camera.rows, sensor.camera.columns) == shape:
             return FrameCamera(sensor.camera, f"assumed: {sensor.title}, by the frames' size", True, sensor.rig)
-    raise BadConfig(f"no sensor is assumed for frames of {rows} x {columns} pixels: give --focal or --rig ({where})")
+    size = f"{rows} rows of {columns} pixels"
+    raise BadConfig(f"no sensor is assumed for frames of {size}: give --focal or --rig ({where})")
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,8 @@ def metres_a_step(unit: str) -> float:
     match = _UNIT.fullmatch(unit)
     step = float(match[1] or 1) * _METRES[match[2]] if match else 0.0
     if not _STEPS_M[0] <= step <= _STEPS_M[1]:
-        raise BadConfig(f"a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm, found {unit!r}")
+        rule = "a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm; floating point needs none for metres"
+        raise BadConfig(f"{rule}: found {unit!r}")
     return step
 
 

@@ -108,7 +108,7 @@ def test_a_mirrored_recording_is_told(tmp_path: Path, frames: Path, capsys: pyte
         (("--focal", "450", "--background", "keep", "--far", "2"), "--near and --far limit what is kept"),
         (("--focal", "450", "--background", "frame", "--near", "1"), "they contradict --background frame"),
         (("--focal", "450", "--nearer-than", "0.3"), "no frame shows a body"),
-        (("--nearer-than", "1.5"), "no sensor is assumed for frames of 208 x 224 pixels"),
+        (("--nearer-than", "1.5"), "no sensor is assumed for frames of 208 rows of 224 pixels"),
         (("--focal", "450", "--picture", "x.jpg"), "--picture must be a .png file, found x.jpg"),
         (("--focal", "450", "--out", "absent/x.toml"), "--out needs a file in a folder that is there"),
         (("--focal", "450", "--out", "recording.mcap"), "--out must be a .toml file, found recording.mcap"),

@@ -156,7 +156,7 @@ def test_classes_are_joined_to_coarser_ones() -> None:
         ((("a", ("Sellion",)), ("b", ("Sellion",))), "a landmark is named once, found 'Sellion' twice"),
         (
             (("a", ("Nose",)),),
-            "'Nose' is none of the 33 landmarks (for a set of other classes, give of=images.manifest.classes)",
+            r"'Nose' is none of the 33 landmarks \(for a set of other classes, give of=images.manifest.classes\)",
         ),
         ((("a", ("Sellion",)), ("b", ())), "the class 'b' must have a landmark, found none"),
     ],

@@ -179,4 +179,6 @@ def test_nothing_is_chosen_where_every_frame_has_its_own(folder: Path) -> None:
     write(folder / "cameras.json", {"default": PLAIN})
     cameras = chosen(folder)
     assert cameras.common is None and not cameras.bent
-    assert cameras.to_json() == {"origin": "each frame's own", "frames_with_their_own": 3}
+    assert cameras.to_json() == {**cameras.first.to_json(), "frames_with_their_own": 3}
+    write(folder / "cameras.json", {"default": PLAIN, "frames": {"2": {**PLAIN, "cx": 18.0}}})
+    assert chosen(folder).to_json() == {"origin": "each frame's own", "frames_with_their_own": 3}

@@ -324,7 +324,7 @@ def test_a_recording_is_labelled_from_its_path(tmp_path: Path) -> None:
         last = opened.label(number)
         np.testing.assert_array_equal(last.labels, found[1].labels)
         assert last.number == 1
-    with pytest.raises(BadConfig, match="no sensor is assumed for frames of 60 x 80 pixels"):
+    with pytest.raises(BadConfig, match="no sensor is assumed for frames of 60 rows of 80 pixels"):
         label.recording(folder)
     with pytest.raises(BadConfig, match="a recording must hold a frame, found none"):
         label.recording([])
