@@ -128,6 +128,10 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
         sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, *options)
         samples = (sampler.take(view) for view in views)
         notes = (*built.notes, *(() if (note := getattr(parts, "note", None)) is None else (note,)))
+        lowest, highest = built.mesh.vertices.min(axis=0), built.mesh.vertices.max(axis=0)
+        cameras = (packing.rig.placed(built.mesh.centre, view)[0].position for view in views)
+        if any(((lowest < at) & (at < highest)).all() for at in cameras):
+            notes += ("the camera stands within its bounding box: are --units and --distances right?",)
         return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
 
 

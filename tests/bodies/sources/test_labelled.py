@@ -665,6 +665,16 @@ def test_every_pixel_has_the_class_of_what_it_shows(tmp_path: Path, soup: bool) 
         assert lit[labels == 2].mean() > 0.5
 
 
+@pytest.mark.usefixtures("packing_here")
+def test_a_scene_around_the_camera_gets_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path / "in" / "box.obj", obj(15 * BOX.vertices, BOX.faces))
+    write(tmp_path / "in" / "scene.json", {"format": "bodyseg scene 1", "meshes": [{"mesh": "box.obj", "class": "a"}]})
+    note = "the camera stands within its bounding box: are --units and --distances right?"
+    assert pack(tmp_path / "in", tmp_path / "near") == 0 and note in capsys.readouterr().err
+    assert pack(tmp_path / "in", tmp_path / "far", "--units", "cm") == 0
+    assert note not in capsys.readouterr().err
+
+
 QUADS = MeshContent(
     np.array([[x, y, 0.0] for y in range(2) for x in range(4)]),
     np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6]], np.int32),
