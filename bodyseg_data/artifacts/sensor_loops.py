@@ -155,9 +155,7 @@ def apply(image: Any, sample: Sample, given: Any, x: Any, y: Any, optics: Any, t
 def mix(
     image: Any, clean: Any, columns: Any, pixels: Any, bits: Any, limit: Any, behind: Any, jump_mm: Any, step_m: Any
 ) -> None:
-    """As `MixedPixels.apply`; pixels: flat indices of the foreground; limit: of the higher half of bits; behind:
-    background, in steps.
-    """
+    """As `MixedPixels.apply`; pixels: flat, of the foreground; limit: of the higher half of bits; behind: in steps."""
     size = clean.size
     for point in range(pixels.size):
         pixel = np.int64(pixels[point])

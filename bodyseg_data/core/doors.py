@@ -1,6 +1,4 @@
-"""Doors of rooms: the public names of a package, each imported on first use, so that importing a room stays cheap; and
-signals put off, as while a room is imported.
-"""
+"""Doors of rooms: public names imported on first use, so that importing stays cheap; and signals put off meanwhile."""
 
 import signal
 import sys

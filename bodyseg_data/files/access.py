@@ -148,9 +148,7 @@ def entries_of(folder: Path) -> list[Path]:
 
 
 def cache_folder() -> Path:
-    """The folder `bodyseg` in XDG_CACHE_HOME or ~/.cache; a relative XDG_CACHE_HOME is ignored, as XDG requires. Raises
-    BadConfig for a user without a home.
-    """
+    """`bodyseg` in an absolute XDG_CACHE_HOME, as XDG requires, or in ~/.cache. Raises BadConfig without a home."""
     chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
     with reported("a cache's folder must be given, by XDG_CACHE_HOME or HOME", BadConfig, RuntimeError):
         return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "bodyseg"

@@ -79,9 +79,7 @@ def join(
 
 
 def _parts(folders: Sequence[Path]) -> list[Path]:
-    """The folders of sets; for a folder that holds parts, those of its parts that got scenes. Raises BadConfig for a
-    missing part.
-    """
+    """The folders of sets, and of parts that got scenes in a folder of parts. Raises BadConfig for a missing part."""
     found: list[Path] = []
     for folder in folders:
         inside = sorted(folder.glob("part-?????-of-?????"))

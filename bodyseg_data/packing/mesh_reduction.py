@@ -223,9 +223,7 @@ def edges_collapsed(mesh: Mesh, landmarks: Indices, count: int, optimal: bool = 
 def _decimated(
     pymeshlab: Any, mesh: Mesh, fixed: NDArray[np.bool_], count: int, optimal: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32], Indices]:
-    """Collapse edges in pymeshlab's thread; returns [V] the number each vertex had in `mesh`, [V, 3] metres, [F, 3],
-    and [F] the number that each triangle had.
-    """
+    """Collapse edges in pymeshlab's thread; returns vertices' numbers in `mesh`, metres, faces, and faces' numbers."""
     meshes = pymeshlab.MeshSet()
     number = np.arange(len(mesh.vertices), dtype=np.float64)  # goes along with each vertex
     count_up = np.arange(1.0, len(mesh.faces) + 1)  # goes along with each triangle, negative on those that stay

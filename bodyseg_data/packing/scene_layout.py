@@ -61,9 +61,7 @@ class SceneLayout:
         return Render(scene.key, range_m, labels, projector, facing, None, scene.split, fields, planes, int(scene.rig))
 
     def sample(self, taken: Render) -> Sample:
-        """The sample of a scene that was `taken`: ranges in steps, labels that agree with them, the projector's range
-        as the set stores it. Raises BadSample.
-        """
+        """The sample of a scene that was `taken`: ranges as the set stores them, fitting labels. Raises BadSample."""
         rig, key = self.rigs[taken.rig], taken.key
         range_image = steps(taken.range_m, rig.range_step_m, f"{key}: range_m")
         measured = range_image > 0
@@ -200,9 +198,7 @@ def learned_planes(planes: Mapping[str, Any], key: str) -> dict[str, str]:
 
 
 def fields_of(kinds: Mapping[str, str], rigs: int) -> Fields:
-    """Fields, name -> kind, in the order of their names, each in a table of its own; with `RIG_FIELD` in a set of
-    several rigs. Raises BadConfig or BadShard.
-    """
+    """Fields, each in a table of its own, by name; for several rigs `RIG_FIELD`, too. Raises BadConfig or BadShard."""
     kinds = {**kinds, RIG_FIELD: "int"} if rigs > 1 else kinds
     if not all(isinstance(kind, str) for kind in kinds.values()):
         raise BadConfig(f"'fields' must give a kind for each name, found {dict(kinds)!r:.200}")

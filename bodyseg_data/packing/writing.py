@@ -52,9 +52,7 @@ _COLUMN: Final = f"plane.{TEMPLATE}."
 
 @dataclass(frozen=True)
 class Rendered:
-    """The result of a run. samples: key and members (extension -> bytes), with a column those of its tar, too. notes:
-    lines about the body.
-    """
+    """The result of a run. samples: key and members (extension -> bytes), also a column's. notes: about the body."""
 
     samples: list[tuple[str, dict[str, bytes]]]
     notes: tuple[str, ...]

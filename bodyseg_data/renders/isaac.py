@@ -145,9 +145,7 @@ def _meanings(path: Path) -> dict[str, str]:
 
 @lru_cache(maxsize=64)
 def _camera(path: Path) -> tuple[tuple[int, int, float], NDArray[np.float64]]:
-    """Rows, columns and focal length in pixels of a camera's file; and the matrix [4, 4] from the world's frame to the
-    camera's, metres. Raises BadConfig, naming file and key.
-    """
+    """Rows, columns and focal length, pixels, and the matrix [4, 4] from world to camera, metres. Raises BadConfig."""
     table = Table(read_json(path), str(path))
     if "cameraModel" in table and (model := table.text("cameraModel")) not in ("pinhole", ""):
         raise BadConfig(f"{path}: 'cameraModel' must be pinhole, not F-Theta or another fisheye, found {model!r}")

@@ -130,9 +130,7 @@ class RenderSource(ABC):
         return [files[key] for files in self._files.values()]
 
     def fingerprint(self, key: str) -> str:
-        """Return a digest of what set.toml and the table of samples say of a sample, and of the names, sizes and times
-        of its files, wherever their folder lies.
-        """
+        """Digest of what set.toml and the table say of a sample, and of names, sizes and times of its files."""
         said = self._said, self._rows.info(key), self._rig_numbers[key]
         files = [(path.name, (found := path.stat()).st_size, found.st_mtime_ns) for path in self.files(key)]
         return hashlib.sha256(repr((said, files)).encode()).hexdigest()[:16]

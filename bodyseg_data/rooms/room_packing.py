@@ -48,9 +48,7 @@ def chosen_kinds(only: tuple[str, ...], without: tuple[str, ...]) -> tuple[str, 
 
 
 class OwnThings(NamedTuple):
-    """A user's meshes as things of rooms. folder: of scenes, with or without labels, as the source "labelled" reads
-    them. units, up: of its files, as of `open_source`.
-    """
+    """A user's meshes as things of rooms. folder: of scenes, labelled or not. units, up: as of `open_source`."""
 
     folder: Path
     units: Units = "auto"
@@ -191,9 +189,7 @@ def _person(words: Any, vertices: Any, faces: Any, labels: Any, distance: Any, s
 
 
 def people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, list[BodyRef]]]:
-    """The sources of a split's people, each with its bodies in such poses; those with none are left out. Raises
-    BadConfig if nobody has such a pose.
-    """
+    """The sources of a split's people that have bodies in such poses, with these. Raises BadConfig if none has."""
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
     chosen = {*in_poses([*itertools.chain(*listed)], poses, " and ".join(_SOURCES[split]))}
@@ -202,9 +198,7 @@ def people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, li
 
 
 def draw_people(split: Split, block: int, poses: tuple[str, ...] = ()) -> list[RoomPerson]:
-    """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m. poses: as of
-    `pack_rooms`. Raises as that.
-    """
+    """The people of a block of samples, with meshes reduced as for 1.5 m. poses, and errors: as of `pack_rooms`."""
     # Not of `Draws`: rooms of the sets that are there have these people.
     rng, rig = np.random.default_rng((7, block, split == "train")), load_rig()
     found: list[RoomPerson] = []

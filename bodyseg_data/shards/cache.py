@@ -139,9 +139,7 @@ class ShardCache:
         return True
 
     def _entries(self) -> list[tuple[float, Path, int]]:
-        """Time of the last read, path and size of every shard and part. A time in the future, of a clock that was set
-        back since, becomes 0.
-        """
+        """Time of the last read, path and size of every shard and part; 0 for a time that is still to come."""
         entries = []
         with os.scandir(self.folder) as found:
             for file in found:

@@ -306,9 +306,7 @@ Transport = HttpTransport | BlockTransport
 
 
 def open_transport(address: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
-    """Open the transport to a folder's address. Raises MissingLibrary, or the filesystem's own errors for an address or
-    `options` that it does not accept.
-    """
+    """Open the transport to a folder. Raises MissingLibrary, or what the filesystem raises for address or `options`."""
     protocol = address.partition("://")[0]
     if protocol in ("http", "https"):
         return HttpTransport(Filesystem(address, options), stall_s)

@@ -230,9 +230,7 @@ def _sensor(options: Options, variant: VariantName, name: str) -> SensorModel:
 
 
 def _start(options: Options) -> networks.Trained | None:
-    """The trained network that the training starts from; None for random or published weights. Raises BadConfig for one
-    of another kind.
-    """
+    """The network that the training starts from; None for random or published weights. Raises BadConfig for others."""
     path = options.pretrained
     if path is None or not (path.is_dir() or path.suffix in ("", ".safetensors")):
         return None

@@ -75,9 +75,7 @@ class TrueSurface:
         return self.points(pixels), self.labels.ravel()[pixels]
 
     def distances(self, pixels: NDArray[np.intp], predicted: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """`distances_to_parts` of pixels that see the surface, float32 [N]. pixels: int64 [N], row * W + column;
-        predicted: uint8 [N].
-        """
+        """`distances_to_parts`, float32 [N], of pixels, int64 [N], row * W + column; predicted: uint8 [N]."""
         return distances_to_parts(self.points(pixels), predicted, *self._kept)
 
 

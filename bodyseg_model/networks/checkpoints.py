@@ -140,9 +140,7 @@ def half_weights(network: Network) -> dict[str, torch.Tensor]:
 
 
 def load_network(path: Path | str | None = None, *, dense: bool = False) -> Trained:
-    """Load the network of a run's folder or a .safetensors file, as `bodyseg_model.load_network`, which reads .onnx
-    files, too. Raises BadConfig.
-    """
+    """Load the network of a run's folder or .safetensors file; `load_network` reads .onnx, too. Raises BadConfig."""
     path = SHIPPED if path is None else Path(path)
     path = path if path.exists() else _NAMED.get(str(path), path)
     if path.is_dir() and RunFiles.unfinished(path):

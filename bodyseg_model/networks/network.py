@@ -224,9 +224,7 @@ def shrunk(relief: torch.Tensor, side: int) -> torch.Tensor:
 
 
 def in_loops(tensor: torch.Tensor) -> bool:
-    """True if compiled loops compute on a tensor instead of PyTorch's operations, with the same bits: on a processor,
-    where numba is installed.
-    """
+    """True if compiled loops give a tensor's results, with PyTorch's bits: on a processor, where numba is installed."""
     return tensor.device.type == "cpu" and use_compiled()
 
 

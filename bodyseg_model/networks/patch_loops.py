@@ -1,6 +1,4 @@
-"""Patches of range images, compiled: the values of `network.patches_of` in PyTorch's operations, and within rounding
-those of `network.metric_patches`.
-"""
+"""Patches of range images, compiled: `network.patches_of` to the bit, `network.metric_patches` within rounding."""
 
 from typing import Any
 

@@ -82,9 +82,7 @@ class FrameCameras:
         self.bent = any(lens is not None for lens in (common, *(own.lens for own in self._own.values())))
 
     def of(self, frame: Frame, shape: tuple[int, int]) -> FrameCamera:
-        """The camera of a frame of `shape` (rows, columns): `common`, or the frame's own. Raises BadConfig as
-        `Intrinsics.frame_camera`.
-        """
+        """`common`, or the own camera of a frame of (rows, columns). Raises BadConfig as `Intrinsics.frame_camera`."""
         if self.common is None or frame in self._own:
             return self._own[frame].frame_camera(shape)
         return self.common
@@ -97,9 +95,7 @@ class FrameCameras:
 
 
 def _shared(where: Path) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
-    """The default camera of a file `CAMERAS`, and those of frames by their files' names, with or without the suffix;
-    none without such a file.
-    """
+    """The default camera of a file `CAMERAS`, if it is there, and those of frames by name with or without suffix."""
     tree = _tree(where)
     if tree is None:
         return None, {}

@@ -150,9 +150,7 @@ class Rule(NamedTuple):
 
 @dataclass(frozen=True)
 class _LastFrame:
-    """The frame before: its camera and images; of each body its cells, their lens, and the gain of shifting parts,
-    summed up over the frames so far.
-    """
+    """The frame before: camera, images; of each body its cells, their lens, and the gain of shifting parts so far."""
 
     camera: Camera
     images: Images = field(repr=False)
@@ -345,9 +343,7 @@ class CarriedLabels:
 
 @lru_cache(maxsize=8)
 def nearest_first(reach: int) -> NDArray[np.int64]:
-    """Steps along rows and columns, int64 [N, 2], of all pixels up to `reach` away along each axis: the nearest first,
-    equally near ones in reading order.
-    """
+    """Steps along rows and columns, int64 [N, 2], up to `reach` each way: the nearest first, then in reading order."""
     line = range(-reach, reach + 1)
     return np.array(sorted(itertools.product(line, line), key=lambda step: step[0] ** 2 + step[1] ** 2), np.int64)
 

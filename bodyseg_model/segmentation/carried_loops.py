@@ -123,9 +123,7 @@ def cells_of(body: Any, lens: Any, jump: Any) -> Any:
 
 @_kernel
 def cell_at(x: Any, y: Any, z: Any, cells: Any, lens: Any, gate: Any) -> Any:
-    """Number of the cell that a point, metres, meets: that into which it projects, at most `gate` away in range; -1 for
-    none.
-    """
+    """Number of the cell that a point meets, metres: into which it projects, at most `gate` away in range; else -1."""
     if z < _NEAREST_M:
         return -1
     u = math.floor((x / z * lens.focal + lens.x) / lens.side)
@@ -192,9 +190,7 @@ def smooth_field(places: Any, cells: Any, shifts: Any, weights: Any, old: Any, l
 
 @_kernel
 def shown_near(found: Any, label: Any, z: Any, old: Any, lens: Any, rule: Any) -> Any:
-    """True if the old frame shows a label up to `rule.border` pixels from pixel `found` along each axis, at a range
-    that agrees with z, metres.
-    """
+    """True if the old frame shows a label up to `rule.border` pixels from `found` each way, at the range z, metres."""
     row, column = found // lens.columns, found % lens.columns
     for v in range(max(row - rule.border, 0), min(row + rule.border + 1, lens.rows)):
         for u in range(max(column - rule.border, 0), min(column + rule.border + 1, lens.columns)):
@@ -206,9 +202,7 @@ def shown_near(found: Any, label: Any, z: Any, old: Any, lens: Any, rule: Any) -
 
 @_kernel
 def nearest(row: Any, column: Any, z: Any, old_range: Any, lens: Any, tolerance: Any, reach: Any, steps: Any) -> Any:
-    """The first pixel, by `steps` up to `reach` from (row, column), whose old range is within `tolerance` of z, metres;
-    -1 for none.
-    """
+    """The first pixel, by `steps` up to `reach`, whose old range is within `tolerance` of z, metres; -1 for none."""
     here = row * lens.columns + column
     inside = reach <= row < lens.rows - reach and reach <= column < lens.columns - reach
     for n in range(len(steps)):

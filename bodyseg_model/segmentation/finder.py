@@ -317,9 +317,7 @@ def _graph(lengths: Floats, samples: _Samples) -> Any:
 
 
 def _nearest_heads(samples: _Samples) -> Pixels:
-    """For every sample of a piece the number of the head that is nearest along the surface, int [N]; all 0 for a piece
-    of one person.
-    """
+    """For every sample of a piece the number of the head nearest along the surface, int [N]; all 0 for one person."""
     a_metre, z = samples.a_metre, samples.points[:, 2]
     whose = np.zeros(len(z), np.intp)
     if np.ptp(samples.columns) < 0.3 * a_metre:

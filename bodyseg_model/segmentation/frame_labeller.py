@@ -149,9 +149,7 @@ class FrameLabeller:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
 
     def of(self, camera: Camera, auto: int | None = None) -> tuple[Undistortion | None, Segmenter]:
-        """The undistortion of a camera's frames, None where they need none, and their segmenter; auto: as of
-        `quarters`. Raises BadConfig.
-        """
+        """The undistortion of a camera's frames, if any, and a segmenter; auto: as of `quarters`. Raises BadConfig."""
         if not isinstance(camera, Camera):
             raise BadConfig(f"a frame needs its camera, like frame_camera((480, 640), 'mine').camera, found {camera!r}")
         return self._segmenters(camera, self.quarters(camera, auto))
@@ -172,9 +170,7 @@ class FrameLabeller:
         return (-quarters if self.mirrored else quarters) % 4
 
     def surest(self, range_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
-        """How sure the network is of its surest person in a frame without distortion, for each way of turning the
-        frame, float64 [4]; 0 for nobody.
-        """
+        """How sure the network is of its surest person, for each way of turning a frame, float64 [4]; 0 for nobody."""
         bodies = (self._segmenter(camera, quarters=quarters, either_way=False)(range_m).bodies for quarters in range(4))
         return np.array([max((float(body.confidence.mean()) for body in each), default=0.0) for each in bodies])
 

@@ -141,9 +141,7 @@ class JointMap:
 
 
 def joint_map_from_json(tree: Mapping[str, Any]) -> JointMap:
-    """Rebuild the map from plain JSON: of every joint features, by names of parts, lengths in mm and the upper triangle
-    of the moments in mm².
-    """
+    """Rebuild the map from JSON: of joints features by names of parts, lengths in mm, halves of moments in mm²."""
     names = [[tuple(each) for each in joint["features"]] for joint in tree["joints"]]
     codes = [[code_of(*map(LANDMARKS.index, each)) for each in joint] for joint in names]
     features, places = np.unique(np.array(codes), return_inverse=True)

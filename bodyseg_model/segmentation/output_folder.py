@@ -79,9 +79,7 @@ class OutputFolder:
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
-        """Hold the folder against other calls while the context lasts. Raises BadConfig as the constructor, also for
-        a folder that is held.
-        """
+        """Hold the folder against other calls while the context lasts. Raises BadConfig, also for one that is held."""
         with claimed(self.path, "segment"):
             self._look()  # another call may have ended meanwhile
             yield
@@ -131,9 +129,7 @@ class OutputFolder:
         return self.path / kind / f"{name}.png"
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary once the disk holds all images: `each` has an entry for every frame, in order, but those of
-        the names in `skipped`. Raises BadConfig.
-        """
+        """Write the summary once the disk holds all images: `each` in order, without `skipped`. Raises BadConfig."""
         skipped = {frame["name"] for frame in summary.get("skipped", ())}
         frames = [frame for frame in self._frames if frame["name"] not in skipped]
         each = [{**frame, **entry} for frame, entry in zip(frames, summary["each"], strict=True)]

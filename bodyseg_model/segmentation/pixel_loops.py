@@ -102,9 +102,7 @@ def take_nearest(range_m: Any, jump: Any, rows: Any, columns: Any, seen: Any, va
 
 @_kernel
 def map_to_view(rows: Any, columns: Any, mapping: Any, down: Any, across: Any) -> Any:
-    """Write the points of the view's image plane that pixels' centres are mapped to, float64 [N] each; returns the
-    least and greatest of `down` and of `across`.
-    """
+    """Write the places of pixels' centres in the view, float64 [N] each; returns the extremes of down and across."""
     side = mapping.sign * mapping.view_focal
     top = left = np.inf
     bottom = right = -np.inf

@@ -145,9 +145,7 @@ def _bridged(body: Mask) -> Mask:
 
 
 def _striped_rows(body: Mask, full: Mask) -> Mask:
-    """Rows of the full body that show next to nothing of it, bool [H], if they are stripes: bands of one width, except
-    that an end of the body may cut one.
-    """
+    """Rows of the full body that show next to nothing, bool [H], if stripes of one width, but for one at an end."""
     striped = np.zeros(len(body), np.bool_)
     counts, reach = np.count_nonzero(body, axis=1), np.flatnonzero(full.any(1))
     if not counts.any() or not len(reach):

@@ -244,9 +244,7 @@ class LabelledImage:
 def labelled_image(
     image: NDArray[np.uint16], step_m: float, surface: TrueSurface, labels: NDArray[np.uint8] | None = None
 ) -> LabelledImage:
-    """Pair a range image in steps of `step_m` metres with its labels, uint8 [H, W], by default the surface's; measured
-    pixels are compared.
-    """
+    """Pair a range image in steps of `step_m` metres with its pixels' labels, uint8 [H, W], or the surface's."""
     pixels, known = np.flatnonzero(image), surface.labels if labels is None else labels
     return LabelledImage(metres(image, step_m), pixels, known.ravel()[pixels], surface, pixels)
 
@@ -381,9 +379,7 @@ class _PosedBody:
         return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, surface, labels)
 
     def _at_desk(self, rig: Rig, landmark: str) -> LabelledImage:
-        """Image of the other camera with the longest focal length, level and near, resampled; the frame's lower end is
-        at a landmark.
-        """
+        """Image of the other camera of the longest focal length, level and near, resampled, that ends at a landmark."""
         camera = sensor(_FOCALS_PX[0])
         border = self.body.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]
         above = _DESK_M * (camera.rows - camera.centre_px[1]) / camera.focal_px

@@ -1,6 +1,4 @@
-"""Augmentation of the batches of a training: images mirrored; and rotated, zoomed and cut, as by a tilted camera or
-people partly out of view.
-"""
+"""Augmentation of batches: images mirrored, rotated, zoomed and cut, as of a tilted camera or people partly in view."""
 
 import math
 from importlib import import_module

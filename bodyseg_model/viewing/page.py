@@ -130,9 +130,7 @@ _PORTS_TRIED: Final = 20
 
 
 def free_port(host: str, port: int) -> int:
-    """The given port, or the next free one after it. 0: any. Raises BadConfig for a host that is not this machine's,
-    or if the next ports are taken, too.
-    """
+    """The given port, or the next free one; 0: any. Raises BadConfig for another machine's host, or if none is free."""
     check_int("a port", port, 0, 65535)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for number in range(port, min(port + _PORTS_TRIED, 65536)):
@@ -150,9 +148,7 @@ def free_port(host: str, port: int) -> int:
 
 
 def open_server(host: str, port: int, title: str, guard: Guard) -> viser.ViserServer:
-    """Start a server. title: above the page's controls. guard: decides who is served. Raises BadConfig as `free_port`,
-    MissingLibrary.
-    """
+    """Start a server. title: of the page. guard: decides who is served. Raises BadConfig, MissingLibrary."""
     required("viser", "bodyseg view", "view")
     import viser
 

@@ -160,9 +160,7 @@ class SetView:
         return RigFit.worst(self.trained.rig, self.images.manifest.rigs).check(str(self.path), True)
 
     def images_of(self, shown: Shown) -> SampleImages:
-        """Make a sample's images. Raises BadShard for a damaged one, BadConfig or BadSample for artifacts that do not
-        fit it.
-        """
+        """Make a sample's images. Raises BadShard for a damaged one, BadConfig or BadSample for artifacts unlike it."""
         sample = self._clean(shown.index)
         rig, lit = self.images.manifest.rig_of(sample), sample.projector_range is not None
         classes = self.images.augmentation.classes

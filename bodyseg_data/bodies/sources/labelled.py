@@ -116,9 +116,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         self._built(body, self._table.classes)
 
     def build(self, body: BodyRef) -> Body:
-        """Build one scene, which has no landmarks. Raises BadMesh, naming the file, for one that cannot be read, or
-        whose labels do not fit.
-        """
+        """Build one scene, which has no landmarks. Raises BadMesh for a damaged file, or labels that do not fit."""
         return self._built(body, self.classes)
 
     def surface(self, body: BodyRef) -> Mesh:
@@ -126,9 +124,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         return self._built(body, None, labelled=False).mesh
 
     def _built(self, body: BodyRef, classes: Classes | None, labelled: bool = True) -> Body:
-        """One mesh of all pieces of a scene. classes: of the set; None: not known yet, and not needed by a check.
-        labelled: look for labels.
-        """
+        """One mesh of all pieces of a scene. classes: of the set, None for a check. labelled: look for labels."""
         scene, notes, points, faces, labels, count = self.entry(body), [], [], [], [], 0
         for piece in scene.pieces:
             content = mesh_content(piece.mesh)
