@@ -1,6 +1,4 @@
-"""`phase_shift` compiled, its formulas along runs of pixels, so that the compiler takes several pixels at once; and
-mixed pixels, with the bits of `mixed_pixels`.
-"""
+"""`phase_shift` compiled, in runs of pixels that the compiler takes together; and `mixed_pixels`, with its bits."""
 
 from typing import Any
 

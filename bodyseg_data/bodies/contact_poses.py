@@ -223,9 +223,7 @@ def _in_the_air(
 
 @dataclass(frozen=True)
 class DrawnContact:
-    """Result of a search for a pose. contacts: what each arm does, left first. attempts: poses drawn until this one was
-    accepted. deepest_m: of skin in skin.
-    """
+    """Result of a search for a pose. contacts: of each arm, left first. attempts: poses drawn. deepest_m: in skin."""
 
     pose: Pose
     contacts: tuple[str, str]

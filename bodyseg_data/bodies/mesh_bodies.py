@@ -290,9 +290,7 @@ def _ignored(landmarks: LandmarkSet | PointLandmarks) -> tuple[str, ...]:
 
 
 def _in_millimetres(landmarks: PointLandmarks, surface: NDArray[np.float64]) -> tuple[PointLandmarks, tuple[str, ...]]:
-    """Enlarge landmarks by 1000, with a note, if they are a thousandth as large as their surface, vertices [N, 3]: they
-    were metres, and were read as millimetres.
-    """
+    """Enlarge landmarks by 1000, with a note, if a thousandth as large as vertices [N, 3]: metres, not millimetres."""
     ratio = np.ptp(surface, axis=0).max() / max(np.ptp(landmarks.points, axis=0).max(), 1e-9)
     if not _IN_METRES[0] < ratio < _IN_METRES[1]:
         return landmarks, ()

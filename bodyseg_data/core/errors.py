@@ -9,7 +9,7 @@ import traceback
 import types
 import typing
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from functools import cache
 from numbers import Integral, Real
@@ -25,6 +25,13 @@ def one_line(text: str) -> str:
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
+def words_of(error: BaseException) -> str:
+    """Type and text of an error of any code, in one line; the type alone where asking for the text fails."""
+    with suppress(Exception):
+        return " ".join(f"{type(error).__name__}: {error}".split())
+    return type(error).__name__
 
 
 class BodysegError(Exception):
@@ -44,7 +51,7 @@ class BodysegError(Exception):
         except Exception as error:
             if isinstance(error, passes or BodysegError):
                 raise
-            failed = cls(f"{where}: {' '.join(f'{type(error).__name__}: {error}'.split())}")
+            failed = cls(f"{where}: {words_of(error)}")
             failed.add_note("".join(traceback.format_exception(error)))
             raise failed from error
 

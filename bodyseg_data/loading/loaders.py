@@ -21,6 +21,7 @@ from bodyseg_data.loading.workers import (
     ProcessWorkers,
     StartMethod,
     ThreadWorkers,
+    WorkerLost,
     WorkerMethod,
     Workers,
 )
@@ -196,9 +197,7 @@ class Loader:
         except BaseException:
             ahead.close()  # before the workers, which might wait for it
             if self._passes == this and self._state is not None:
-                ending, self._state = self._state, None  # before closing, which may be interrupted, too
-                self._tallied.append(ending.slots.tallies().sum(0))
-                ending.close()
+                self._end(self._state)
             raise
         finally:
             ahead.close()
@@ -208,11 +207,20 @@ class Loader:
         if self._state is None or self._state.owner != os.getpid():
             self._state = self._new_state()
         in_flight = self._state.in_flight
-        while in_flight:  # requested by a pass that was left early
-            self._state.workers.discard()
-            self._state.slots.release(in_flight.popleft())
+        try:
+            while in_flight:  # requested by a pass that was left early
+                self._state.workers.discard()
+                self._state.slots.release(in_flight.popleft())
+        except WorkerLost:  # with a batch that nobody will see
+            self._end(self._state)
+            self._state = self._new_state()
         self._taken = self.stats()["batches"]
         return self._state
+
+    def _end(self, ending: _WorkerState) -> None:
+        self._state = None  # before closing, which may be interrupted, too
+        self._tallied.append(ending.slots.tallies().sum(0))
+        ending.close()
 
     def _new_state(self) -> _WorkerState:
         options = self._options

@@ -117,6 +117,8 @@ class Selection:
             raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {val_share!r}")
         if split == "val" and not val_share:
             raise BadConfig("the split 'val' is a share of train: give val_share, like 0.1")
+        if isinstance(only, list) and not only:
+            raise BadConfig("an empty list of 'only' matches no sample: leave it out for all of them")
         conditions = tuple(parse_condition(text, fields, rigs) for text in texts_of("where", where))
         return cls(pattern, split, texts_of("only", only), conditions, float(val_share))
 
@@ -149,9 +151,11 @@ class Selection:
             chosen = self._filtered(manifest, chosen.shards)
         if not len(chosen):
             held = ", ".join(f"{manifest.samples(name)} {name}" for name in SPLITS)
-            wanted = " ".join((self.pattern, *self.only, *(condition.text for condition in self.where)))
+            shards = () if self.pattern == "*" else (self.pattern,)
+            wanted = " ".join((*shards, *self.only, *(condition.text for condition in self.where)))
             of_split = "" if self.split is None else f" of split {self.split!r}"
-            raise BadConfig(f"{path} has no sample{of_split} that matches {wanted!r}; the set holds {held}")
+            matching = f" that matches {wanted!r}" if wanted else ""
+            raise BadConfig(f"{path} has no sample{of_split}{matching}; the set holds {held}")
         return chosen
 
     def _filtered(self, manifest: Manifest, numbers: Sequence[int]) -> ChosenSamples:

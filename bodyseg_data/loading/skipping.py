@@ -66,6 +66,8 @@ class SkipLedger:
     def load_state(self, state: Any) -> None:
         """Replace the records by those of an earlier run. Raises BadConfig for anything but a list of records."""
         try:
+            if not isinstance(state, list):
+                raise TypeError
             self.skipped, self._lost = [Skipped(**record) for record in state], defaultdict(set)
         except (TypeError, BadConfig):
             raise BadConfig("a state's 'skipped' must be a list of records as a loader writes them") from None

@@ -213,8 +213,9 @@ def _checked_image(found: Any, image: CameraImage, where: str, shape: tuple[int,
     arrays.append(("labels", found.labels, image.labels))
     arrays += [(f"the plane {each!r}", plane, image.planes[each]) for each, plane in found.planes.items()]
     for what, array, before in arrays:
-        if not isinstance(array, np.ndarray) or array.dtype != before.dtype or array.shape != shape:
-            shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        plain = isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray)
+        if not plain or array.dtype != before.dtype or array.shape != shape:
+            shown = f"{array.dtype} {array.shape}" if plain else type(array).__name__
             raise BadTransform(f"{where} must return {what} as {before.dtype} {shape}, found {shown}")
     ranges, labels, count = np.ascontiguousarray(found.range), found.labels, len(found.classes)
     strange = labels[(labels >= count) & (labels < unlabelled)]

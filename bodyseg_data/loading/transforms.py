@@ -263,9 +263,7 @@ def _around(cells: NDArray[Any], value: float, corners: bool) -> list[NDArray[An
 
 
 def _spread(own: NDArray[np.float64], rings: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """The range of the nearest cell that has one, not inf, and how many cells away that is, [h, w] each; where it is
-    more than `rings`, 0 and one more.
-    """
+    """The range of the nearest cell with one, not inf, and cells to it, [h, w] each; beyond `rings`, 0 and one more."""
     found, away = own.copy(), np.where(own < np.inf, 0, rings + 1)
     for ring in range(1, rings + 1):
         nearest = np.minimum.reduce(_around(found, np.inf, corners=ring % 2 == 0))

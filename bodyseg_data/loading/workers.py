@@ -12,6 +12,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -22,7 +23,7 @@ from multiprocessing.reduction import ForkingPickler
 from queue import Empty, SimpleQueue
 from typing import Any, Final, Literal, Protocol
 
-from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.core import BadConfig, BodysegError, words_of
 
 
 class WorkerLost(BodysegError):
@@ -98,7 +99,7 @@ def handle(work: Callable[[Any], Any], request: Any) -> Any:
     try:
         return work(request)
     except BaseException as error:
-        return Failure(" ".join(f"{type(error).__name__}: {error}".split()), traceback.format_exc())
+        return Failure(words_of(error), traceback.format_exc())
 
 
 def checked_result(found: Any, worker: str) -> Any:
@@ -156,9 +157,10 @@ class ThreadWorkers(Workers):
                 self._requests.get_nowait()
         for _ in self._threads:
             self._requests.put(None)
+        until = time.monotonic() + END_TIMEOUT_S
         for thread in self._threads:
             if thread is not threading.current_thread():  # where the garbage collector may call this
-                thread.join(END_TIMEOUT_S)
+                thread.join(max(0.0, until - time.monotonic()))
         self._threads = []
         self._answers.clear()
 
@@ -263,8 +265,9 @@ class ProcessWorkers(Workers):
             with contextlib.suppress(OSError):  # the worker has ended already
                 pipe.send(_END)  # closing is not enough: workers forked later have the pipe open too
             pipe.close()
+        until = time.monotonic() + END_TIMEOUT_S
         for process in self._processes:
-            process.join(END_TIMEOUT_S)
+            process.join(max(0.0, until - time.monotonic()))
             if process.is_alive():
                 process.kill()
                 process.join()
@@ -293,7 +296,7 @@ class _Carried:
         try:
             return self._work or pickle.loads(self._packed)
         except Exception as error:
-            return partial(_fail, f"unpickled in a worker: {type(error).__name__}: {error}")
+            return partial(_fail, f"unpickled in a worker: {words_of(error)}")
 
 
 def _fail(why: str, request: Any = None) -> Any:
@@ -326,3 +329,5 @@ def _receive(pipe: Connection, requests: SimpleQueue[Any]) -> None:
             if pipe.poll():
                 requests.put(pipe.recv())
     requests.put(_END)
+    time.sleep(END_TIMEOUT_S)
+    os._exit(1)  # a request takes long, and nobody is left to end it

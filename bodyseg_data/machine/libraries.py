@@ -110,9 +110,7 @@ def opened_picture(file: Any, formats: tuple[str, ...], strict: bool = False) ->
 
 @cache
 def _prepare_tiff() -> None:
-    """Have Pillow read floating point of 64 bits, which it can decode but does not list. Keep its libtiff from printing
-    on standard error: Pillow raises what cannot be read.
-    """
+    """Have Pillow read 64-bit floats, which it decodes but does not list, and keep its libtiff off standard error."""
     from PIL import TiffImagePlugin, _imaging
 
     for order, raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):

@@ -92,9 +92,7 @@ def _footprint(start: Indices, shape: tuple[int, int]) -> Mask:
 
 
 def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats) -> Range:
-    """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`ShadowTest.reached`) as with
-    `image`, in the steps of the test's rig.
-    """
+    """An image, uint16 [Hp, Wp], by which points are lit (`ShadowTest.reached`) as by `image`, in the rig's steps."""
     held = framed(image) != _EMPTY
     held[:-1] |= held[1:]
     held[:, :-1] |= held[:, 1:]

@@ -156,9 +156,7 @@ class ViewGrid:
             yield View(distance, index * self.azimuths // len(self) * step, pitch, roll, height)
 
     def _rows(self) -> list[tuple[int, int, int, int]]:
-        """All combinations of what an azimuth is combined with, in an order whose every beginning has each value about
-        equally often; 0 stands for what is drawn.
-        """
+        """All combinations, in an order whose every beginning has each value about equally often; 0: what is drawn."""
         rows: list[tuple[int, ...]] = [(distance,) for distance in self.distances_cm]
         for name in _LIMITS:
             choice = getattr(self, name)

@@ -201,9 +201,7 @@ def predict_each(
 
 
 def _label_by_torch(network: Network, scores: torch.Tensor, measured: torch.Tensor, empty: Prediction) -> Prediction:
-    """Label with PyTorch: on another device, without numba, where every pixel has scores, or where some scores are not
-    finite; there, confidences are not finite either.
-    """
+    """Label with PyTorch: on other devices, without numba, for scores everywhere, or where some are not finite."""
     rows, columns = measured.shape[1:]
     scores = scores.contiguous(memory_format=torch.channels_last)
     if network.output_stride > 1:

@@ -370,9 +370,7 @@ def part_shifts(places: Floats, labels: Labels, earlier: Cells, larger: float = 
 
 
 def _parts(points: Floats, labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Middles of parts, float64 [256, 3], metres, weighted by the areas of their cells; and the sums of these areas, in
-    cells times square metres of range.
-    """
+    """Middles of parts, float64 [256, 3], metres, weighted by cells' areas; and sums of these, cells times metres²."""
     area = points[:, 2].astype(np.float64) ** 2
     areas: NDArray[np.float64] = np.bincount(labels, area, 256).astype(np.float64)
     sums = np.stack([np.bincount(labels, area * along, 256) for along in points.T], axis=1)

@@ -287,9 +287,7 @@ def _sampled(grid: Ranges, first: tuple[float, float], step: int, focal_px: floa
 
 
 def _neighbours(line: Pixels, place: Pixels, z: Floats, step: float) -> Pixels:
-    """Pairs of samples, [2, M], that follow each other in a line with one surface between: at most `_GAP_M` apart, or
-    one sample missing. step: between samples, metres at 1 m.
-    """
+    """Pairs of samples, [2, M], in a line on one surface, at most `_GAP_M` or one sample apart. step: metres at 1 m."""
     apart, nearer = np.diff(place) - 1, np.minimum(z[1:], z[:-1])
     close = (apart <= 1) | (apart * step * nearer <= _GAP_M)
     one_surface = np.abs(np.diff(z)) <= np.maximum(nearer * _JUMP_SHARE, _JUMP_M)

@@ -67,9 +67,7 @@ def draw_overlay(
 
 @lru_cache(maxsize=4)
 def _table(label_map: LabelMap) -> NDArray[np.uint8]:
-    """The colours of an overlay, each in shades from near to far, uint8 [C + 3, S, 3]: of the room, of every class, of
-    no class, and of what was not measured.
-    """
+    """Colours of an overlay from near to far, uint8 [C + 3, S, 3]: of room, every class, no class, not measured."""
     depth = np.linspace(0, 1, _SHADES)
     room, unknown = (
         np.interp(depth, (0, 1), greys)[:, None].repeat(3, axis=1) for greys in (_ROOM_GREYS, _UNKNOWN_GREYS)

@@ -172,9 +172,7 @@ def probably_mirrored(shadow: ProjectorShadow | None, projector: Side | None) ->
 
 
 def _gaps(frame: MarkedFrame, focal_px: float, side: Side) -> Floats:
-    """Gaps in rows between the body's last pixel on a side and the first pixel of the room beyond: width in pixels, and
-    focal length times the difference of inverse ranges, [2, N].
-    """
+    """Gaps in rows between body and room: width, pixels; focal length times inverse ranges' difference, [2, N]."""
     flip = np.s_[:, ::-1] if side == "left" else np.s_[:, :]
     range_m, body, room = frame.range_m[flip].astype(np.float64), frame.body[flip], frame.room[flip]
     columns = np.arange(range_m.shape[1])

@@ -196,6 +196,8 @@ def test_a_state_knows_what_it_belongs_to(figures_set: Path, small_set: Path) ->
         said = f"a state's epoch and position must be whole numbers from 0 on, position at most 16, found {epoch} and"
         with pytest.raises(BadConfig, match=f"^{said} {position}$"):
             fresh().load_state_dict({**state, "epoch": epoch, "position": position})
+    with pytest.raises(BadConfig, match="a state's 'skipped' must be a list of records"):
+        fresh().load_state_dict({**state, "skipped": {}})
     for record in ({"epoch": 1}, {"epoch": "1", "key": "", "shard": "", "offset": 0, "why": ""}):
         with pytest.raises(BadConfig, match="a state's 'skipped' must be a list of records"):
             loader(RangeImages(figures_set, "all", "train"), 3).load_state_dict({**state, "skipped": [record]})

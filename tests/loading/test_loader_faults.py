@@ -337,6 +337,26 @@ def test_a_signal_to_the_run_leaves_nothing_behind(small_set: Path, number: int)
         assert errors == ""
 
 
+BUSY = """
+import multiprocessing, os, sys, time
+from bodyseg_data.loading import workers
+workers.END_TIMEOUT_S = 0.5
+held = workers.ProcessWorkers(lambda _: time.sleep(600), 2, "fork")
+held.submit(0)
+time.sleep(0.2)
+print(*[process.pid for process in multiprocessing.active_children()], flush=True)
+os.kill(os.getpid(), 9)
+"""
+
+
+def test_workers_in_a_long_request_end_with_a_run_that_is_killed() -> None:
+    with warm.Program(["-c", BUSY], start_new_session=True) as run:
+        workers = [int(word) for word in run.stdout.readline().split()]
+        assert len(workers) == 2
+        run.communicate(timeout=WITHIN_S)
+    await_end(workers)
+
+
 def test_ctrl_c_does_not_reach_workers_of_a_fork_server(small_set: Path) -> None:
     batches = loader(RangeImages(small_set, "none"), 3, 2, worker_method="process", start_method="forkserver")
     delivered = iter(batches)

@@ -296,8 +296,10 @@ def test_conditions_open_no_shard(figures_set: Path, tmp_path: Path) -> None:
 
 
 def test_conditions_that_no_sample_meets_are_named(figures_set: Path) -> None:
-    with pytest.raises(BadConfig, match=r"no sample that matches '\* subject=Z'; the set holds 16 train, 8 test$"):
+    with pytest.raises(BadConfig, match=r"no sample that matches 'subject=Z'; the set holds 16 train, 8 test$"):
         RangeImages(figures_set, where="subject=Z")
+    with pytest.raises(BadConfig, match="^an empty list of 'only' matches no sample: leave it out for all of them$"):
+        RangeImages(figures_set, only=[])
 
 
 def test_a_selection_does_not_depend_on_the_cut_into_shards() -> None:

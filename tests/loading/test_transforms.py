@@ -182,6 +182,10 @@ RETURNS: list[tuple[Callable[[CameraImage], Any], str]] = [
         "must return range as uint16 (160, 82), found Tensor",
     ),
     (
+        lambda image: replace(image, range=np.ma.masked_greater(image.range, 10)),
+        "must return range as uint16 (160, 82), found MaskedArray",
+    ),
+    (
         lambda image: replace(image, labels=np.full_like(image.labels, 33)),
         "must return labels 0 to 32 or 255, found 33",
     ),
@@ -218,6 +222,20 @@ def test_an_error_in_a_transform_ends_the_run_in_one_line(
     where = f"{images.location(0)[0]}: {images.keys[0]}: transform '{__name__}.failing'"
     assert str(caught.value) == f"{where}: ValueError: two lines"
     assert 'raise ValueError("two\\nlines")' in "".join(caught.value.__notes__), "the traceback is kept"
+
+
+def test_an_error_without_words_in_a_transform_keeps_its_place(figures_set: Path) -> None:
+    class Wordless(Exception):
+        def __str__(self) -> str:
+            raise AttributeError("no text")
+
+    def wordless(image: CameraImage, random: np.random.Generator) -> Any:
+        raise Wordless
+
+    images = RangeImages(figures_set, transform=wordless)
+    for options in ({}, {"num_workers": 1}):
+        with pytest.raises(BadTransform, match=rf"{images.keys[0]}: transform '.*wordless': Wordless\b"):
+            list(loader(images, 4, **options))
 
 
 def test_samples_that_a_transform_refuses_can_be_skipped(figures_set: Path) -> None:

@@ -20,6 +20,7 @@ import warm
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadConfig, BadShard, BodysegError
 from bodyseg_data.loading import Loader, WorkerLost
+from bodyseg_data.loading import workers as loading_workers
 from bodyseg_data.loading.workers import ThreadWorkers
 
 WITHIN_S = 60
@@ -124,6 +125,55 @@ def damaged_copy(small_set: Path, tmp_path: Path) -> Path:
         shard.seek(-1, os.SEEK_CUR)
         shard.write(bytes([before[0] ^ 0xFF]))
     return damaged
+
+
+class Wordless(Exception):
+    def __str__(self) -> str:
+        raise AttributeError("no text")
+
+
+def test_an_error_without_words_is_told_by_its_type(small_set: Path) -> None:
+    class Failing(RangeImages):
+        def write(self, *where: Any) -> None:
+            raise Wordless
+
+    with pytest.raises(WorkerLost, match=r"^worker [01] of 2 \(thread\) failed: Wordless\n"):
+        keys(threaded(Failing(small_set)))
+
+
+def test_a_batch_made_in_vain_that_fails_ends_no_later_pass(small_set: Path) -> None:
+    class FailingOnce(RangeImages):
+        def write(self, index: int, epoch: int, *where: Any) -> Any:
+            if epoch == 0 and index == int(self.order(0)[4]):
+                raise OSError("for a moment")
+            return super().write(index, epoch, *where)
+
+    for batches in (
+        threaded(FailingOnce(small_set)),
+        loader(FailingOnce(small_set), 3, 2, worker_method="process", start_method="fork"),
+    ):
+        next(iter(batches))
+        assert batches.epoch == 1
+        assert len(keys(batches)) == 24 and batches.epoch == 2
+        assert batches.stats()["samples"] >= 27
+
+
+def test_all_threads_together_are_waited_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loading_workers, "END_TIMEOUT_S", 0.5)
+    begun, go_on, waits = threading.Barrier(5), threading.Event(), list[float]()
+    workers = ThreadWorkers(lambda _: (begun.wait(WITHIN_S), go_on.wait(WITHIN_S)), 4)
+    for thread in workers._threads:
+        join = thread.join
+        monkeypatch.setattr(thread, "join", lambda seconds, join=join: (waits.append(seconds), join(seconds)))
+    for request in range(4):
+        workers.submit(request)
+    begun.wait(WITHIN_S)
+    threads = [*workers._threads]
+    workers.close()
+    go_on.set()
+    for thread in threads:
+        threading.Thread.join(thread, WITHIN_S)
+    assert len(waits) == 4 and 0 < waits[0] <= 0.5 and waits[1:] == [0, 0, 0]
 
 
 @pytest.mark.parametrize("error", [MemoryError("no more\nof it"), SystemExit("no more of it")])

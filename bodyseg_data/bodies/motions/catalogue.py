@@ -22,9 +22,7 @@ _DECIMALS: Final = 4  # of a degree: the last bits of sines differ between machi
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion of `frames` frames; at(seconds) returns the pose and the height of the body's lowest point above the
-    floor, metres, more than 0 only in flight.
-    """
+    """A motion of `frames` frames; at(seconds) returns the pose and its lowest point's height, metres."""
 
     frames: int
     at: Callable[[float], tuple[Pose, float]]
