@@ -50,7 +50,7 @@ _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a hea
 _NEW_M2: Final = 0.002  # least surface at which a top begins
 _APART_M2: Final = 0.06  # least surface of what meets no other
 _FREE_M: Final = 0.05  # half the width over a top in which there is nothing else
-_ENLARGED: Final = 2.0  # from so many times on, nearest pixels would show as steps: at 8, a whole cell has one range
+_ENLARGED: Final = 2.5  # from so many times on, nearest pixels would show as steps: at 8, a whole cell has one range
 _FARTHEST_M: Final = 16.4  # beyond it, nothing is measured: as in recordings in floating point
 
 Pixels = NDArray[np.intp]
@@ -144,7 +144,7 @@ class FinderView:
 
     network: of two classes, person and none, with the setting `focal_px`: the focal length, pixels, of the camera
     whose images it was trained on, with the principal point in their middle. A frame is resampled to that camera by
-    nearest pixels, or linearly if it is enlarged by 2 and more, unless no pixel would be shifted by more than one.
+    nearest pixels, or linearly if it is enlarged by 2.5 and more, unless no pixel would be shifted by more than one.
     Raises BadConfig for another network.
     """
 
@@ -211,7 +211,8 @@ def _interpolated(image: Ranges, places: Floats, axis: int) -> Ranges:
     lower = np.floor(places).astype(np.intp)
     share = np.expand_dims((places - lower).astype(np.float32), 1 - axis)
     one, other = image.take(lower, axis), image.take(np.minimum(lower + 1, image.shape[axis] - 2), axis)
-    return np.where((one > 0) & (other > 0), one + (other - one) * share, np.where(share < 0.5, one, other))
+    found: Ranges = one + (other - one) * np.where((one > 0) & (other > 0), share, share.round())
+    return found
 
 
 # People apart.
