@@ -226,7 +226,7 @@ def _entry(entry: Mapping[str, Any], where: str) -> Artifact:
     if not isinstance(name, str):
         raise BadConfig(f"{where}: [[artifacts]] must name its 'artifact', found {name!r}")
     artifact = _artifact(name, strengths, where)
-    if version not in (None, artifact.version):
+    if version not in (None, artifact.version) or isinstance(version, bool):
         raise BadConfig(f"{where}: {name} is of version {version!r}, installed is version {artifact.version}")
     return artifact
 

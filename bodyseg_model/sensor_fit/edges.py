@@ -101,9 +101,10 @@ def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
         low, high = np.quantile(each, _MIDDLE)
         middle = each[(each >= low) & (each <= high)]
         # Rows of one frame, and frames of one pose, are alike: ten rows a frame count as independent. Widths are whole
-        # pixels, so the mean of the middle ones is finer than the median.
+        # pixels, so the mean of the middle ones is finer than the median; rows of one depth share their rounding.
         independent = min(len(middle), 10 * len(recording.frames))
-        baselines[side] = Estimate(float(middle.mean()), float(middle.std()) * 1.5 / np.sqrt(independent))
+        error = np.hypot(middle.std() * 1.5 / np.sqrt(independent), 1 / np.sqrt(12) / np.median(scale))
+        baselines[side] = Estimate(float(middle.mean()), float(error))
         widths[side] = float(np.median(width))
     narrow, wide = sorted(baselines, key=lambda side: baselines[side].value)
     clear = baselines[wide].value > _ONE_SIDED * baselines[narrow].value
@@ -181,6 +182,7 @@ def _gaps(frame: MarkedFrame, focal_px: float, side: Side) -> Floats:
     rows = np.flatnonzero((last >= 0) & (first < len(columns) - _MARGIN))
     # A wall goes on beside its first pixel; a flying pixel is alone.
     steady = room[rows[:, None], first[rows, None] + np.arange(_MARGIN)].all(1)
-    near, far = range_m[rows, last[rows]], range_m[rows, first[rows]]
+    ends = np.maximum(last[rows] - np.arange(_MARGIN)[:, None], 0)  # the last pixel may be a mixed one, farther away
+    near, far = np.where(body[rows, ends], range_m[rows, ends], np.inf).min(0), range_m[rows, first[rows]]
     found = np.stack([(first - last - 1)[rows].astype(np.float64), focal_px * (1 / near - 1 / far)])
     return found[:, steady & (far - near >= _LEAST_DEPTH_M)]

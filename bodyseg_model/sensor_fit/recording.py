@@ -103,7 +103,7 @@ def jumps(range_m: NDArray[np.floating], known: Mask, least_m: float) -> Mask:
 
 
 _MOST_FRAMES: Final = 40  # most frames that are measured: of more, groups of four neighbours, evenly spread
-_STILL_SHARE: Final = 0.5  # least intersection over union of a still body in two frames, each of which may lose much
+_STILL_SHARE: Final = 0.5  # least share of a still body in one frame that another, which may lose as much, has, too
 _BLOCK: Final = 8
 _LARGE_BLOCK: Final = 32
 _COHERENT: Final = 0.6  # of a moving body, means of large blocks are at least this share of those of small ones
@@ -184,8 +184,8 @@ class MarkedRecording:
         """True if two bodies cover each other and their ranges differ from pixel to pixel, not over areas."""
         bodies = [self.frames[index].body for index in (a, b)]
         first, second = (closing(body, 2) for body in bodies)
-        either = np.count_nonzero(first | second)
-        if not either or np.count_nonzero(first & second) < _STILL_SHARE * either:
+        smaller = min(np.count_nonzero(first), np.count_nonzero(second))
+        if not smaller or np.count_nonzero(first & second) < _STILL_SHARE * smaller:
             return False
         both = bodies[0] & bodies[1]
         difference = self.frames[b].range_m - self.frames[a].range_m
