@@ -173,7 +173,7 @@ def _room_points(frame: LabelledFrame, body_m: NDArray[np.float32]) -> Points:
 
 
 class RecordingPage(Controls):
-    """Puts a recording on a page and keeps what its controls say. Played, a slow frame delays the next; none is dropped."""
+    """Puts a recording on a page and keeps what its controls say. A slow frame delays the next; none is left out."""
 
     def __init__(self, page: Page, view: RecordingView) -> None:
         super().__init__(page, view, ShownFrame())

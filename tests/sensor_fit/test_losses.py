@@ -47,7 +47,7 @@ def test_rates_that_frames_change_between() -> None:
     assert found["missing_data"].estimates["share"].error == pytest.approx(0.3 / np.sqrt(12 * 12), rel=0.4)
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
 def test_patches_of_a_still_body(share: float) -> None:
     found = losses_of(recorded(PatchLoss(share, share), frames=8))
     assert needed(found) == ["patch_loss"]

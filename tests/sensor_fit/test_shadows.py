@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.model.sensor_fit.recordings import BEHIND_M
 from known_sensors import CAMERA, RIG, fitted, flipped, recorded
 
-from bodyseg_data.artifacts import Occlusion
+from bodyseg_data.artifacts import MixedPixels, Occlusion
 from bodyseg_data.rigs import load_rig
 from bodyseg_model.recordings import FrameCamera, frame_camera
 from bodyseg_model.sensor_fit import ShadowFrames
@@ -29,6 +30,16 @@ def test_the_baseline_follows_from_the_width() -> None:
     assert shadow_finding(shadow, "right", RIG).reason == finding.reason
     wrong = replace(RIG, projector=replace(RIG.projector, position_m=(0.0075, 0.0, 0.0), aims_at_m=(0.0075, 0.0, 1.0)))
     assert shadow_finding(shadow, "right", wrong).reason == f"{finding.reason}; the rig's baseline is 0.0075 m"
+
+
+@pytest.mark.parametrize("mixed", [0.0, 0.8])
+def test_the_baseline_is_within_its_error_also_beside_mixed_pixels(mixed: float) -> None:
+    mixed_pixels = MixedPixels(mixed, background_m=2.55 + BEHIND_M)
+    shadow = measure_shadow(recorded(Occlusion(), mixed_pixels, wall=True, frames=6))
+    assert shadow is not None
+    found = shadow.baseline_m["left"]
+    assert abs(found.value - RIG.baseline_m) < 3 * found.error < 0.02
+    assert shadow.baseline_m["right"].error > 0.001, "a gap of no pixel is known to a pixel, no better"
 
 
 def test_mirrored_frames_have_their_shadow_on_the_projectors_side() -> None:
