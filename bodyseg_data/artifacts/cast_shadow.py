@@ -20,8 +20,7 @@ from bodyseg_data.samples import FARTHEST_STEPS
 def seen_by_projectors(camera_range: NDArray[np.uint16], rig: Rig) -> NDArray[np.uint16]:
     """The range of the rig's projectors, uint16 [Hp, Wp], one below the other, made of the camera's, uint16 [H, W].
 
-    In the rig's steps, 0 where nothing is known. Raises BadSample for another kind or shape than the rig's camera has,
-    MissingLibrary without numba.
+    In steps, 0 where unknown. Raises BadSample for a kind or shape unlike the camera's, MissingLibrary without numba.
     """
     found = np.zeros(rig.projector_shape, np.uint16)
     for test, image in zip(shadow_tests(rig), np.split(found, [rig.projector.rows]), strict=False):

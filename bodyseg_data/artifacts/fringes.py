@@ -1,8 +1,6 @@
-"""The formulas of `phase_shift`, written once: the range that a pixel of a sensor with shifted fringes measures, and
-cloth and motion of a body.
+"""The formulas of `phase_shift`, once: the range that a pixel measures by shifted fringes; cloth and motion of a body.
 
-NumPy applies `decode` to arrays, and `sensor_loops` compiles it for one pixel. So it takes and makes float32 alone, and
-every constant in it is one.
+NumPy applies `decode` to arrays; `sensor_loops` compiles it for one pixel. So it takes, makes and holds float32 alone.
 """
 
 import math

@@ -31,8 +31,7 @@ _LABELS: Final = {part.landmark: part.label for part in PARTS}
 def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
     """Mark one to four ellipses around random pixels of the foreground, lost whole, bool [H, W].
 
-    range_image: uint16 [H, W], 0 is background. share: of the foreground, 0 to 1; the ellipses grow together until
-    they hold it.
+    range_image: uint16 [H, W], 0 is background. share: of the foreground, 0 to 1; the ellipses grow until they hold it.
     """
     box = box_of(range_image)
     if box is None:

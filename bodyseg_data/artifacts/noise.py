@@ -65,8 +65,7 @@ def add_noise(foreground: NDArray[np.uint16], sigma: np.float32, draws: NDArray[
 
     sigma: the standard deviation in steps. draws: uint32 [N], random bits.
 
-    Rounds to the nearest step and stays within 1 .. 65535: a foreground pixel neither becomes background (0) nor wraps
-    around in 16 bits.
+    Rounds to the nearest step and stays within 1 .. 65535: no foreground pixel becomes background (0) or wraps around.
     """
     return as_range(foreground.astype(np.float32) + normals(draws) * sigma)
 

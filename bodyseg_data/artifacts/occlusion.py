@@ -229,8 +229,7 @@ def four_texels(projector_range: Range, x: Floats, y: Floats) -> tuple[list[Rang
 
 
 def framed(projector_range: Range) -> Range:
-    """A projector image less one step, uint16 [Hp + 2, Wp + 2], with its border repeated: every point in the frame has
-    four texels around it.
+    """A projector image less one step, uint16 [Hp + 2, Wp + 2], its border repeated: points in it have four texels.
 
     One step off, an empty texel wraps round from 0 to 65535, which is behind every point, as it should be.
     """

@@ -152,8 +152,7 @@ def sensor_model_names() -> tuple[str, ...]:
 def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> SensorModel:
     """Load a sensor model by the name of one that ships with the package, or from a TOML file (docs/how-to/sensors.md).
 
-    A SensorModel is returned as it is. Raises BadConfig, naming file and key, for anything missing, unknown or out of
-    range.
+    Returns a SensorModel as it is. Raises BadConfig, with file and key, for anything missing, unknown or out of range.
     """
     if isinstance(sensor, SensorModel):
         return sensor

@@ -18,11 +18,9 @@ PEOPLE: Final = 583
 
 @dataclass(frozen=True)
 class Person:
-    """Parameters of a person's body.
-
-    female: 0 or 1, or between for neither. years: age. stature_m: height. The rest are 0 to 1, least to most:
-    muscle, weight, proportions (1 the least usual), cupsize, firmness, african, asian, caucasian (mixed by their
-    ratio).
+    """Parameters of a person's body. female: 0 or 1, or between for neither. years: age. stature_m: height. The rest
+    are 0 to 1, least to most: muscle, weight, proportions (1 the least usual), cupsize, firmness, african, asian,
+    caucasian (mixed by ratio).
     """
 
     female: float

@@ -104,8 +104,7 @@ _SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor th
 @dataclass(frozen=True)
 class ArmSurroundings:
     """The posed body as an arm meets it. vertices, normals: [V, 3]. pelvis, shoulder, chest: [3], metres. chest_turn:
-    [3, 3]. floor: height, metres. seat: there is one at the height of the pelvis. other_placed: the other arm is in its
-    place.
+    [3, 3]. floor: height, metres. seat: one is at the height of the pelvis. other_placed: the other arm is in place.
     """
 
     side: Side

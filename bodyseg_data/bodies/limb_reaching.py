@@ -107,10 +107,8 @@ class Base:
 
 
 class Limb:
-    """An arm or a leg.
-
-    vertices: bool [V], its skin. far: bool [V], the skin from a little above elbow or knee on. probes: int [N], a few
-    of the far vertices, evenly spread.
+    """An arm or a leg. vertices: bool [V], its skin. far: bool [V], the skin from a little above elbow or knee on.
+    probes: int [N], a few of the far vertices, evenly spread.
     """
 
     def __init__(self, person: Posable, kind: Literal["arm", "leg"], side: Side) -> None:

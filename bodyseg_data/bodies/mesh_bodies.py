@@ -61,8 +61,7 @@ def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Pa
 def files_below(root: Path) -> list[Path]:
     """List all files in a folder and its sub-folders, sorted, without names and folders that begin with a dot.
 
-    Links are followed, to each folder once. Pipes, devices and the like are left out. Raises BadConfig for a folder
-    that cannot be listed.
+    Links are followed, to each folder once. Pipes and devices are left out. Raises BadConfig for what cannot be listed.
     """
 
     def refuse(error: OSError) -> None:

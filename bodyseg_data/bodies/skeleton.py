@@ -57,9 +57,7 @@ class Arm(_Angles):
 
 @dataclass(frozen=True)
 class Leg(_Angles):
-    """One leg, degrees.
-
-    flex: thigh raised to the front. abduct: to the side. twist: toes outwards. knee: 0 straight.
+    """One leg, degrees. flex: thigh raised to the front. abduct: to the side. twist: toes outwards. knee: 0 straight.
     planted: 1 keeps the sole level as far as an ankle can, 0 leaves the foot square to the shin. ankle: toes
     pointed downwards, on top of that. toes: bent up.
     """

@@ -114,12 +114,10 @@ class Places:
 
 @dataclass(frozen=True)
 class LegTask:
-    """Task of one leg.
-
-    start: ranges of the angles at which the search begins and which it keeps where it can. out, ahead: ranges of the
-    position of a sole that is flat on the floor, metres outwards of the hip and in front of it; None for a foot that
-    is not. floor: places of the leg that touch the floor. by, touch: a place of the leg and those of the other leg of
-    which it touches one.
+    """Task of one leg. start: ranges of the angles that the search begins at and keeps where it can. out, ahead: ranges
+    of the position of a sole flat on the floor, metres outwards of the hip and in front of it; None for a foot that is
+    not. floor: places of the leg that touch the floor. by, touch: a place of the leg, and those of the other of which
+    it touches one.
     """
 
     start: Ranges

@@ -50,13 +50,11 @@ _HIGHEST_M: Final = 2.4  # of body and thing together: no mesh is larger
 
 @dataclass(frozen=True)
 class Drape:
-    """A skirt or coat.
-
-    top: its upper end, 0 hip bones (ASIS) to 1 armpits. length: its lower end, 0 crotch to 1 ankle bone. loose_m: mean
-    distance of the cloth from the hull of the body, metres. flare: metres by which it widens for every metre that it
-    falls. girth_m: length of the cloth around the hem, metres, beyond which it rides up. fold_m: wavelength of the
-    folds. fold_depth_m: of the folds at the hem. open_deg: angle to each side of the front by which a coat stands open
-    at the hem, 0 closed. seed: of the fold patterns.
+    """A skirt or coat. top: its upper end, 0 hip bones (ASIS) to 1 armpits. length: its lower end, 0 crotch to 1 ankle
+    bone. loose_m: mean distance of the cloth from the hull of the body, metres. flare: metres by which it widens for
+    every metre that it falls. girth_m: length of the cloth around the hem, metres, beyond which it rides up. fold_m:
+    wavelength of the folds. fold_depth_m: of the folds at the hem. open_deg: angle to each side of the front by which a
+    coat stands open at the hem, 0 closed. seed: of the fold patterns.
     """
 
     top: float

@@ -18,10 +18,7 @@ def rate_text(per_second: float, unit: str) -> str:
 
 
 class Progress:
-    """Shows the share of a known amount that is done, on standard error, also between updates.
-
-    interval_s: seconds after which a line is due.
-    """
+    """Shows on standard error the share of an amount that is done, also between updates, every `interval_s` seconds."""
 
     def __init__(self, title: str, unit: str, interval_s: float = 4.5) -> None:
         self.title, self.unit, self._interval_s = title, unit, interval_s

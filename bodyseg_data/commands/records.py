@@ -9,10 +9,7 @@ from bodyseg_data.machine import hardware
 
 
 def provenance(command: str) -> dict[str, str]:
-    """Return command, commit (of the checkout this package runs from, "unknown" outside one) and hardware.
-
-    Call it before the measurement begins.
-    """
+    """Return command, commit of the checkout ("unknown" outside one) and hardware; call it before measuring."""
     return {"command": command, "commit": _commit(), "hardware": hardware()}
 
 

@@ -82,8 +82,7 @@ class MissingLibrary(BodysegError, ImportError):
 
 @contextmanager
 def reported(where: object, raises: type[Exception], *caught: type[Exception]) -> Iterator[None]:
-    """Raise exceptions of the kinds `caught`, else of that of `raises`, as `raises`, with `where` before their words,
-    unless it is "".
+    """Raise exceptions of the kinds `caught`, else of that of `raises`, as `raises`, their words after `where`, if any.
 
     Named as a kind, OSError loses its number and file.
     """

@@ -87,8 +87,7 @@ def draw_sheet(
     """Draw one line of panels a sample: camera range, projector range, labels, the variants, labels in `shown`.
 
     Where bodies fill less than two fifths of the image, as before a wide camera, all panels are cropped to them, alike.
-    sensor: the model that made the variants, which captions name the drawn quantities of. label_map: the classes that
-    labels are coloured by.
+    sensor: the model that made the variants; captions name its drawn quantities. label_map: the classes of labels.
     """
     seen = window_of([row.sample.range for row in rows])
     panels = [_panels(row, shown, sensor, label_map, seen) for row in rows]

@@ -32,10 +32,7 @@ _LINE: Final = 21
 
 
 def draw_legend(width: int, label_map: LabelMap = PARTS33) -> Image.Image:
-    """Draw the legend of the classes (colour, number, name), in as many columns as fit into `width` pixels.
-
-    A name longer than its column is cut.
-    """
+    """Draw the legend of the classes (colour, number, name) in columns that fit `width` pixels; long names are cut."""
     columns = max(1, width // _COLUMN)
     lines = -(-len(label_map) // columns)
     columns = -(-len(label_map) // lines)

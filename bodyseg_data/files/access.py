@@ -384,10 +384,7 @@ class TomlFiles:
         return (*self.further, *sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml")))
 
     def read(self, name_or_path: str | Path) -> str:
-        """Read a file of the folder by its name, or any by its path, which ends in .toml.
-
-        Raises BadConfig for a name that is not there, or a file that cannot be read.
-        """
+        """Read a file of the folder by name, or any by its .toml path. Raises BadConfig if absent or unreadable."""
         if not isinstance(name_or_path, str | Path):
             raise BadConfig(f"a {self.kind} is given by its name or a path, found {name_or_path!r:.100}")
         path = Path(name_or_path)

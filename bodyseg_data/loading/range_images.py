@@ -1,8 +1,7 @@
 """PyTorch dataset over a set of shards, seen as one of the five variants.
 
-Nothing depends on a position in a stream: the order of an epoch is a permutation of the samples' indices in the
-manifest, and every draw belongs to a sample's key. So batches are the same bits for any number of workers and any
-shard size.
+Nothing depends on a position in a stream: the order of an epoch is a permutation of indices in the manifest, and every
+draw belongs to a sample's key. So batches are the same bits for any number of workers and any shard size.
 """
 
 from __future__ import annotations

@@ -225,8 +225,7 @@ def mark_val(table: SampleTable, share: float) -> NDArray[np.bool_]:
     """Mark the samples of val, bool [N].
 
     table: of all samples of the stored train split. share: of them, above 0. Samples of bodies are divided by people
-    and motions, others by their subject, and where they have none, one by one. Raises BadConfig if they are one group,
-    which cannot be divided.
+    and motions, others by their subject, and where they have none, one by one. Raises BadConfig if they are one group.
     """
     keys = _group_keys(table, share)
     sizes = Counter[Group](keys)

@@ -29,8 +29,7 @@ class Slots:
     """`in_flight` + SPARE slots of one batch each.
 
     A slot is free, acquired (a worker writes it), or lent (the user holds its tensors or views of them). With at most
-    `in_flight` slots acquired at once, `acquire` always finds a free one: at most SPARE are lent, and further batches
-    are copied instead.
+    `in_flight` acquired at once, `acquire` always finds a free one: at most SPARE are lent, further batches copied.
     """
 
     def __init__(

@@ -1,7 +1,6 @@
 """The transforms that ship: crop, crop to the body, horizontal flip, roll and zoom of the camera, remnants of a wall.
 
-Of a moved image, a pixel takes its value from the nearest one of the image as it was, so that none lies between two
-surfaces.
+Of a moved image, a pixel takes its value from the nearest one of the image as it was, so none lies between surfaces.
 """
 
 import math

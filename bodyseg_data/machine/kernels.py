@@ -3,8 +3,7 @@
 Loops of streaming have NumPy forms that give the same bits, for installs without numba, and for as long as another
 process compiles a loop that this one needs (`if_ready`). BODYSEG_KERNELS chooses: `auto` (the default: compiled if
 numba can be imported, as soon as machine code is there), `numpy`, or `compiled`, which waits for the compiler. The
-choice changes how long a sample takes and nothing else. All other loops are compiled in any case, and an extra brings
-numba for them.
+choice changes only how long a sample takes. All other loops are always compiled; an extra brings numba for them.
 
 Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, under a digest of all that shapes it.
 """

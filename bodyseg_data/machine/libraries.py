@@ -66,10 +66,7 @@ def missing_library(
 
 
 def require_libraries(feature: str, needs: Iterable[str]) -> None:
-    """Raise MissingLibrary if a shared library of `needs` is absent.
-
-    For packages whose import succeeds without a library that they need later.
-    """
+    """Raise MissingLibrary if a shared library of `needs` is absent: for packages that can be imported without it."""
     absent = [name for name in needs if not can_load(name)]
     if absent:
         raise MissingLibrary(_needs(feature, absent))

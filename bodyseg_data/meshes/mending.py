@@ -30,10 +30,9 @@ class MendedSurface:
 def mend(vertices: NDArray[np.float64], faces: NDArray[Any]) -> MendedSurface:
     """Remove the defects of the surface `faces` [F, 3] of `vertices` [V, 3], metres.
 
-    Vertices closer than `SAME_POINT_M` are joined if an edge connects them or if both lie on the boundary of the
-    surface, as along a seam that was not welded; surfaces that only touch stay apart. Faces with a repeated vertex and
-    duplicates of faces are removed. Of more than two faces at an edge two are kept: those with the fewest open edges,
-    then the largest.
+    Vertices closer than `SAME_POINT_M` are joined if an edge connects them or both lie on the boundary of the surface,
+    as along an unwelded seam; surfaces that only touch stay apart. Faces with a repeated vertex and duplicate faces are
+    removed. Of more than two faces at an edge two are kept: those with the fewest open edges, then the largest.
     """
     edges = find_edges(faces)
     representative = np.arange(len(vertices))
@@ -65,11 +64,9 @@ def mend(vertices: NDArray[np.float64], faces: NDArray[Any]) -> MendedSurface:
 
 
 def welded(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Join vertices [V, 3] whose coordinates are the same numbers, as where a file repeats them for each triangle or
-    along a seam of textures.
+    """Join vertices [V, 3] of equal coordinates, as files repeat them for each triangle or along a seam of textures.
 
-    Returns the vertices kept, int64 [W], the first in each place, ascending; and the index among them of each vertex's
-    place, int64 [V].
+    Returns the kept vertices, int64 [W], the first in each place, ascending; each vertex's index in them, int64 [V].
     """
     _, first, place = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)  # -0.0 is 0.0
     order = np.argsort(first)

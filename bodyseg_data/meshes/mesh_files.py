@@ -134,10 +134,7 @@ class _Element:
 
 
 def _read_ply(data: bytes) -> _Parsed:
-    """Parse a PLY file, in its order.
-
-    Raises BadMesh for a file that is not PLY, is truncated or holds less than its header announces.
-    """
+    """Parse a PLY file, in its order. Raises BadMesh for one that is none or holds less than its header announces."""
     order, elements, start = _header(data)
     columns = _from_text(data, start) if not order else _from_bytes(data, start, order)
     parsed = _Parsed()

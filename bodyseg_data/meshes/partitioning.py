@@ -195,8 +195,7 @@ def find_borders(
     """Find the borders of a labelled mesh. labels: uint8 [V]. distance: float64 [V], metres, to the landmark of that
     label. representative: int64 [V], as in `MendedSurface`; each vertex itself if None.
 
-    In a triangle with a corner out of reach of all landmarks (infinite distance), points get the label of the nearest
-    corner.
+    In a triangle with a corner out of all landmarks' reach (infinite distance), points get the nearest corner's label.
     """
     joined = mesh.faces if representative is None else representative[mesh.faces]
     corner_labels = labels[joined]

@@ -69,10 +69,9 @@ def repair(name: str, vertices: Floats, faces: NDArray[Any]) -> tuple[Floats, ND
 def with_pymeshlab(feature: str, work: Callable[[Any], _Result]) -> _Result:
     """Call `work` with the module pymeshlab, in the thread for it; return what it returns, raise what it raises.
 
-    feature: the feature that the message names if something is missing. work: makes all meshes of pymeshlab that it
-    needs, and returns arrays: a mesh must not leave the thread. It must not call this function. The first call of a
-    process takes a third of a second more. A forked process has a thread of its own. Raises MissingLibrary without
-    pymeshlab, libGL or libOpenGL.
+    feature: named in the message about what is missing. work: makes all meshes of pymeshlab that it needs, and returns
+    arrays: no mesh may leave the thread. It must not call this function. A process's first call takes a third of a
+    second more. A forked process has a thread of its own. Raises MissingLibrary without pymeshlab, libGL or libOpenGL.
     """
     return _worker.call(lambda: work(_import_pymeshlab(feature)))
 

@@ -99,8 +99,7 @@ def turned_solid(profile_m: list[tuple[float, float]]) -> Solid:
 class SurfacePiece:
     """A connected piece of a mesh over the body. vertex: index of any of its vertices.
 
-    parts: labels, 0 to 32, of which each of its points gets the nearest; none for a thing, whose label is 255. Raises
-    BadLandmarks for other labels.
+    parts: labels, 0 to 32, of which a point gets the nearest; none for a thing (255). Raises BadLandmarks for others.
     """
 
     vertex: int

@@ -54,8 +54,7 @@ _ASK_S: Final = 10.0  # interval at which a wait for a result checks that the sc
 class Expected:
     """Facts that a worker must share with the process that packs, so that it gives the same bytes.
 
-    token: tells this packing from an earlier one with the same options, whose files may have changed since. facts: of
-    that process.
+    token: tells this packing from earlier ones of the same options, whose files may differ. facts: of that process.
     """
 
     packing: Packing

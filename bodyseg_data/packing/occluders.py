@@ -156,10 +156,7 @@ def texel_bounds(
 
 
 def _as_they_are(test: ShadowTest, ranges: Ints, points: tuple[Floats, Floats, Floats], lit: Mask) -> tuple[Ints, Ints]:
-    """Bounds [4, N] around the texels [4, N] of each point that keep its answer.
-
-    points: x, y, and their range as in the test, less one step.
-    """
+    """Bounds [4, N] around the texels [4, N] of each point that keep its answer. points: x, y, range less one step."""
     gap, edge = int(test.gap_steps), int(test.edge_steps)
     nearest, farthest = ranges.min(axis=0), ranges.max(axis=0)
     limit = np.ceil(points[2]).astype(np.int32) - edge

@@ -95,10 +95,7 @@ def classes_from(source: BodySource) -> Classes:
 
 
 def in_poses(bodies: Sequence[BodyRef], poses: Sequence[str], source: str) -> list[BodyRef]:
-    """Return the bodies whose pose fits one of some shell patterns; all without any. source: for the message.
-
-    Raises BadConfig if none does.
-    """
+    """Return bodies whose pose fits a shell pattern, all without any. Raises BadConfig, with `source`, if none does."""
     wanted = [body for body in bodies if not poses or any(fnmatchcase(body.pose, each) for each in poses)]
     if not wanted:
         names = ", ".join(collapsed(sorted({body.pose for body in bodies})))

@@ -122,10 +122,7 @@ def check_run(packing: Packing, body: BodyRef, plan: str) -> str | None:
 def find_faults(
     packing: Packing, bodies: Sequence[BodyRef], executor: Executor, workers: int, progress: ProgressCallback
 ) -> dict[str, str]:
-    """Name of a mesh -> the reason why it cannot be packed, of all bodies whose files are at fault.
-
-    Sources that make their bodies and read no files are not checked.
-    """
+    """Name of a mesh -> why it cannot be packed, of all with faulty files. Sources without files are not checked."""
     if packing.path is None:
         return {}
     token = uuid.uuid4().hex  # files may have changed since a worker read them

@@ -5,8 +5,7 @@
     camera_params_0000.json                                                    intrinsics and pose
 
 Of one render product they lie in the camera's folder, of several in PRODUCT/ANNOTATOR/; both are read. The projector is
-a second camera, with a folder of its own. Classes come from the labels' files and rigs from the cameras', unless
-set.toml names them.
+a second camera with its own folder. Classes come from labels' files, rigs from cameras', unless set.toml names them.
 """
 
 import math

@@ -62,9 +62,8 @@ class Stored:
 class RenderSource(ABC):
     """A set of finished renders in a fixed order, found in files of several kinds, each with one file a key.
 
-    files: kind -> key -> file; those of `RANGE` lead. classes, rigs: of the set and of each sample, where the files
-    tell them; else as `content` says. Raises BadConfig for a file without partner, for rows of other keys, and without
-    classes or rigs.
+    files: kind -> key -> file; those of `RANGE` lead. classes, rigs: of set and samples, as the files tell them, else
+    as `content` says. Raises BadConfig for a file without partner, rows of other keys, and without classes or rigs.
 
     The attributes: classes: what labels mean. rigs: of all samples. planes: name -> "uint8" or "uint16" of further
     images. fields: name -> kind of the fields of descriptions, as `ShardWriter` takes them.

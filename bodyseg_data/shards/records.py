@@ -210,10 +210,9 @@ class CheckedFile(Protocol):
 class ShardRecord:
     """Index of one shard. keys, offsets, lengths and crc32 have one entry a sample, in stored order.
 
-    size: of the file, bytes. sha256: of the file. keys: sample keys. offsets: of a sample's first tar header, bytes.
-    lengths: from there to the end of the padding of its last member, bytes. crc32: of those bytes. notes: lines
-    "MESH: NOTE" on meshes whose first view is in this shard, such as repairs and changes of method. descriptions: of
-    the samples.
+    size: of the file, bytes. sha256: of it. keys: sample keys. offsets: of a sample's first tar header, bytes. lengths:
+    from there to the end of its last member's padding, bytes. crc32: of those bytes. notes: lines "MESH: NOTE" on
+    meshes first seen in this shard, as of repairs and changes of method. descriptions: of the samples.
     """
 
     name: str

@@ -32,8 +32,7 @@ _PLANE: Final = "plane."
 def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     """Encode a sample as tar members: extension -> bytes. The same sample gives the same bytes.
 
-    Raises BadConfig for an unknown codec, BadSample for a sample that, with "bsi", has labels and range that disagree
-    on the background.
+    Raises BadConfig for an unknown codec; with "bsi", BadSample where labels and range disagree on the background.
     """
     chosen = CODECS[check_choice("the codec", codec, CODECS)]
     facing = sample.faces_projector.view(np.uint8) * np.uint8(FACING)

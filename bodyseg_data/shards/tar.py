@@ -222,10 +222,7 @@ def decode_piece(column: Manifest, key: str, data: bytes) -> NDArray[Any]:
 
 
 def parse_members(key: str, data: bytes) -> dict[str, bytes]:
-    """Parse the tar members of one sample: extension -> bytes.
-
-    Raises BadSample unless they are plain files whose names start with `key`.
-    """
+    """Parse a sample's tar members: extension -> bytes. Raises BadSample unless they are plain files named by `key`."""
     members: dict[str, bytes] = {}
     position, end = 0, len(data)
     while position < end:

@@ -1,7 +1,6 @@
 """Single attempts to download and upload bytes through fsspec: HTTP as a stream, other protocols in blocks.
 
-No event loop, session or socket is shared across a fork: every process, and where needed every thread, opens its own
-filesystem on first use.
+Forks share no event loop, session or socket: every process, where needed every thread, opens a filesystem on first use.
 """
 
 import errno

@@ -167,10 +167,7 @@ class LocalTarget:
         return self._folder / f".{file.name}.part"
 
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
-        """Copy a file from the source, after the part that an interrupted transfer left, and check its SHA-256.
-
-        Raises BadShard for other bytes.
-        """
+        """Copy a file after what an interrupted transfer left and check its SHA-256. Raises BadShard if it differs."""
         part = self._part(file)
         if part.is_symlink():
             part.unlink()  # not made by a transfer: writing would alter another file

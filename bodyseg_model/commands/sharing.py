@@ -100,8 +100,7 @@ def _bundle_at(address: str) -> tuple[Store, transfer.Bundle]:
 def _network_bundle(store: Store, weights: str) -> transfer.Bundle:
     """Return the bundle of a network: weights, page and confusion matrix, card.
 
-    weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
-    OSError or Unreachable.
+    weights: name of its file in the store. Raises BadConfig if its card cannot vouch for them, OSError or Unreachable.
     """
     file = Path(weights)
     index = file.with_suffix(".json").name

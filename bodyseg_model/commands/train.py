@@ -252,8 +252,7 @@ def _network(
 def _pretrained(
     options: Options, network: networks.Network, start: networks.Trained | None, label_map: LabelMap
 ) -> dict[str, Any] | None:
-    """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file,
-    None for random weights.
+    """Fill a network with trained or published weights; returns its card's entry on the file, None for random weights.
 
     The last layer for other classes, and a head of places on the template that the trained one lacks, keep their random
     weights. Raises BadConfig for one of other settings, or of other classes where the head of places alone is trained.

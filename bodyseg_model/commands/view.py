@@ -102,10 +102,7 @@ def welcome(address: str, host: str, port: int) -> str:
 
 
 def is_set(source: Sequence[str]) -> bool:
-    """True for the address of a set, a folder with a manifest, or shards of one.
-
-    Raises BadConfig for several sets, of which one page shows one.
-    """
+    """True for the address of a set, a folder with a manifest or shards of one. Raises BadConfig for several sets."""
     found = [
         "://" in each
         or (Path(each) / MANIFEST_NAME).is_file()

@@ -107,8 +107,7 @@ class Evaluation:
 
     subsets: the paper's A, B, C and people, those that a source names, or "all" where none is named. confidences: as of
     `Scores`. label_map: the classes that are scored. worst: average per-class accuracy and key of the ten images of
-    lowest accuracy, the lowest first. milliseconds: time of the network, of scores, and of waiting for images to be
-    loaded.
+    lowest accuracy, the lowest first. milliseconds: time of the network, of scores, and of waiting for images.
     """
 
     confidences: bool = field(default=True, repr=False)

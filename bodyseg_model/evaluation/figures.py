@@ -243,10 +243,7 @@ _BODY_MARGIN: Final = 6
 
 
 class SamplePicture:
-    """Collects the first image of every subset and the image of lowest accuracy during an evaluation.
-
-    label_map: the classes of the labels.
-    """
+    """Collects every subset's first image and the image of lowest accuracy. label_map: the classes of the labels."""
 
     def __init__(self, label_map: LabelMap = PARTS33) -> None:
         self._label_map = label_map

@@ -194,8 +194,7 @@ class RigFit:
 def sensor_warning(trained: Trained, augmentation: Augmentation, path: str) -> str | None:
     """One line where images have other artifacts than those trained on, None where they have not.
 
-    augmentation: of the images; artifacts of kinds that its variant leaves out are not compared. path: of the images,
-    for messages.
+    augmentation: of the images; kinds of artifacts that its variant leaves out are not compared. path: for messages.
     """
     kinds = kinds_of(augmentation.variant)
     try:

@@ -1,7 +1,4 @@
-"""Scores of a segmentation from counts: accuracy, kinds of mistakes, confidences.
-
-Background is ignored everywhere.
-"""
+"""Scores of a segmentation from counts: accuracy, kinds of mistakes, confidences. Background is ignored everywhere."""
 
 from __future__ import annotations
 
@@ -52,10 +49,7 @@ class ConfusionMatrix:
         return f"ConfusionMatrix({self.pixels} pixels, average per-class accuracy {accuracy:.3f})"
 
     def add(self, truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> None:
-        """Count the pixels of label images of one shape, uint8; pixels whose truth is background do not count.
-
-        Raises BadConfig as `pairs_of`.
-        """
+        """Count pixels of label images of one shape, uint8, without true background. Raises BadConfig as `pairs_of`."""
         classes = len(self.counts)
         self.counts += count_pairs(pairs_of(truth, predicted, classes), classes)
 
@@ -193,10 +187,7 @@ class Confidences:
         self.by_class: NDArray[np.int64] = np.zeros((classes, 2, THRESHOLD_STEPS), np.int64)
 
     def add(self, pairs: NDArray[np.int64], confidence: NDArray[np.float32]) -> None:
-        """Count pixels by their pair numbers, int64 [N] (`scores.pairs_of`), and confidences, float32 [N], 0 to 1.
-
-        Raises BadConfig for confidences outside 0 to 1.
-        """
+        """Count pairs, int64 [N] (`scores.pairs_of`), by confidence, float32 [N]. Raises BadConfig outside 0 to 1."""
         if not pairs.size:
             return
         least, most = float(confidence.min()), float(confidence.max())

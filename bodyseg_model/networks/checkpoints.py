@@ -264,10 +264,7 @@ def fill(network: Network, tensors: Mapping[str, torch.Tensor], file: Path) -> N
 
 
 def read_checkpoint(folder: Path) -> Checkpoint | None:
-    """Read the last checkpoint of a run's folder, also while its training goes on; None if there is none yet.
-
-    Raises BadConfig if it is damaged.
-    """
+    """Read a run's last checkpoint, also while it trains; None if there is none yet. Raises BadConfig if damaged."""
     file = folder / RunFiles.CHECKPOINT
     if not file.exists():
         return None

@@ -1,9 +1,8 @@
 """A small network for one task: range image -> parts.
 
-Its first layer reads patches of 16 x 16 pixels, so that nothing is computed at full resolution and no pixel is thrown
-away: noise and missing pixels are averaged by learned filters. All other layers work on cells 16 to 64 pixels wide,
-since a part is recognised by its position in the body. Every cell yields 4 x 4 scores, and scores in between are
-interpolated.
+Its first layer reads patches of 16 x 16 pixels, so nothing is computed at full resolution and no pixel is thrown away:
+noise and missing pixels are averaged by learned filters. All other layers work on cells 16 to 64 pixels wide, since a
+part is recognised by its position in the body. Every cell yields 4 x 4 scores; those in between are interpolated.
 """
 
 import itertools
@@ -153,9 +152,8 @@ def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
 
 
 def _mean_over_body(x: torch.Tensor, measured: torch.Tensor, cell: int) -> torch.Tensor:
-    """Mean of [B, C, h, w] over its cells, [B, C, 1, 1], weighted by the share of each cell that was measured, so that
-    empty space around a body does not change it. measured: [B, 1, H, W], share of each patch; cell: patches along one
-    side of a cell.
+    """Mean of [B, C, h, w] over its cells, [B, C, 1, 1], weighted by the measured share of each cell, so that empty
+    space around a body does not change it. measured: [B, 1, H, W], share of each patch; cell: patches along its side.
     """
     weight = F.avg_pool2d(measured, cell, ceil_mode=True, count_include_pad=False)
     return (x * weight).sum((2, 3), keepdim=True) / weight.sum((2, 3), keepdim=True).clamp(min=1e-6)

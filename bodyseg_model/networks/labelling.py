@@ -1,10 +1,9 @@
 """Labels and confidences of pixels from scores that are coarser than the image: interpolation, best class, softmax.
 
-Compiled loops over measured pixels alone; where there is no numba, and on GPUs, PyTorch does the same. All of it is in
-single operations of float32, which the tests' plain form repeats bit by bit. Of the classes, only those count whose
-highest score at the four points around a pixel comes within `REACH` of the score that some class has at all four: the
-best class is always among them, and all others together change a confidence by less than 2e-4 (of the network that
-ships, by 4e-5 at most).
+Compiled loops over measured pixels; without numba, and on GPUs, PyTorch does the same. All is in single operations of
+float32, which the tests' plain form repeats bit by bit. Of the classes, only those count whose highest score at the
+four points around a pixel comes within `REACH` of the score that some class has at all four: the best class is always
+among them, and all others together change a confidence by less than 2e-4 (4e-5 with the one that ships).
 """
 
 import itertools
@@ -63,8 +62,7 @@ def label_pixels(
 def number_pixels(
     places: Floats, range_m: Floats, stride: int, labels: NDArray[np.uint8] | None, numbers: NDArray[np.uint16]
 ) -> None:
-    """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others, and those whose place is
-    NaN, stay as they are.
+    """Write the template's points at measured pixels, uint16 [B, H, W]; others, and NaN places, stay as they are.
 
     places: as scores of `label_pixels`, [B, h, w, 3]. range_m, stride: as there. labels: parts, uint8 [B, H, W], whose
     points alone are taken; None for any. Raises MissingLibrary without scipy.

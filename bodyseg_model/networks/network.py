@@ -121,12 +121,10 @@ def check_label_map(network: Network, label_map: LabelMap) -> None:
 
 
 class FlipAverage(Network):
-    """A network whose scores are the mean of those of an image and those of its mirror image, mirrored back with left
-    and right classes exchanged: so an image, if its width is of whole strides, and its mirror image get the same
-    labels, but for the side.
+    """A network whose scores are the mean of an image's and its mirror image's, mirrored back with left and right
+    classes exchanged: so both get the same labels, but for the side, if the width is of whole strides.
 
-    network: in evaluation mode. label_map: its classes, by default the 33 parts. Raises BadConfig unless the network
-    has as many.
+    network: in evaluation mode. label_map: its classes, by default 33 parts. Raises BadConfig unless it has as many.
     """
 
     def __init__(self, network: Network, label_map: LabelMap = PARTS33) -> None:

@@ -80,9 +80,8 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     """Label range images in metres, float32 [B, 1, H, W], 0 = nothing measured; returns labels and confidences.
 
     network: in evaluation mode. It sees whole images, as in training: how much is empty around a body changes its
-    labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
-    wrong shape, also of scores, a range that is not finite or below 0, ranges in another unit, or a network in training
-    mode.
+    labels. Scores coarser than the image are interpolated, as they were in training. Raises BadConfig for a wrong
+    shape, also of scores, a range that is not finite or below 0, ranges in another unit, or a network in training mode.
     """
     return _predict(network, range_m, network.scores if isinstance(network, Network) else None)
 
@@ -154,9 +153,8 @@ def _check_metres(least: float, most: float, range_m: torch.Tensor) -> None:
 def _predict_on_processor(
     network: Network, range_m: torch.Tensor, compute: Callable[[torch.Tensor], torch.Tensor]
 ) -> Prediction:
-    """As `predict`. Where numba is installed, NumPy and compiled loops compute all but the scores: after an operation
-    that it divides among threads, PyTorch's threads wait busily for the next one, on processors that a runtime's
-    threads need.
+    """As `predict`. With numba, NumPy and compiled loops compute all but the scores: after an operation that it divides
+    among threads, PyTorch's threads wait busily for the next, on processors that a runtime's threads need.
     """
     metres = np.ascontiguousarray(range_m[:, 0].float().numpy())
     _check_metres(float(metres.min()), float(metres.max()), range_m)

@@ -1,8 +1,7 @@
 """Bags in their four kinds of files, each as a `Bag` of topics and messages.
 
-ROS 1 bags, and those of RealSense's SDK, which are such; single files of ROS 2 in SQLite (.db3), the SDK's among them;
-MCAP files (https://mcap.dev/spec), chunked or not, with an index or without; and ROS 2 bags, folders of such files
-beside a metadata.yaml.
+ROS 1 bags, as those of RealSense's SDK; single files of ROS 2 in SQLite (.db3), the SDK's among them; MCAP files
+(https://mcap.dev/spec), chunked or not, indexed or not; and ROS 2 bags, folders of such files beside a metadata.yaml.
 """
 
 import contextlib

@@ -302,8 +302,7 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
 
     That is `camera_info` in the topic's namespace, in `info/` as RealSense's recordings have it, or below the topic. Of
     a rectified image ("image_rect_raw", "image_depth_rect"), the camera is that of the projection matrix, without
-    distortion. Raises BadConfig for distortion that is none of `driver_camera`, and for a camera of binned or cut
-    images.
+    distortion. Raises BadConfig for distortion that is none of `driver_camera`, and for binned or cut images.
     """
     parts = [part for part in topic.name.split("/") if part]
     if parts and parts[-1] in _TRANSPORTS:
@@ -326,8 +325,7 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
 def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
     """Return the camera in a CameraInfo of ROS 1 or 2, None for one that is not calibrated.
 
-    rectified: its images are, so their camera is that of the projection matrix. where: name in messages. Raises
-    BadConfig as `camera_beside`.
+    rectified: its images are, so it is that of the projection matrix. where: for messages. Raises as `camera_beside`.
     """
     region = message.roi
     if max(message.binning_x, message.binning_y) > 1 or region.x_offset or region.y_offset:

@@ -55,10 +55,7 @@ class FrameSource(ABC):
 
     @abstractmethod
     def read(self, index: int) -> NDArray[Any]:
-        """Read the pixels of frame `index`, [H, W]: steps in uint16 or metres in floating point.
-
-        Raises BadConfig without the frame's name.
-        """
+        """Read frame `index`, [H, W]: steps in uint16 or metres in floating point. Raises BadConfig without a name."""
 
     def stamp(self, index: int) -> Stamp | None:
         """Read the header of frame `index`; by default frames have none. Raises BadConfig."""
@@ -137,8 +134,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class LiveRecording(Checked):
-    """Frames of a live sensor, made of arrays as they come; for `FrameLabeller`. A frame lives as long as its caller
-    holds it.
+    """Frames of a live sensor, of arrays as they come; for `FrameLabeller`. A frame lives while a caller holds it.
 
     arrays: pixels [H, W], or (time in seconds or None, pixels): uint16 in steps of `step_m` metres, or floating point
     in metres; masked pixels are 0. camera: that of the frames, if known. where: name in messages and of frames. Raises
@@ -183,9 +179,8 @@ def check_pixels(shape: tuple[int, ...], kind: np.dtype[Any]) -> None:
 def in_steps(values: NDArray[Any], float_m: float = 1.0) -> Pixels:
     """Convert pixels to uint16 [H, W]: whole numbers as they are, floating point rounded to `FLOAT_STEP_M`.
 
-    float_m: metres that 1.0 is. Floating point that is not finite or beyond the last step, and all that is not above 0,
-    becomes 0, nothing measured. Raises BadConfig for another type or shape, for whole numbers of more than 16 bits, and
-    as `check_metres`.
+    float_m: metres that 1.0 is. Floating point not finite or beyond the last step, and what is not above 0, becomes 0,
+    nothing measured. Raises BadConfig for another type or shape, whole numbers beyond 16 bits, and as `check_metres`.
     """
     check_pixels(values.shape, values.dtype)
     if values.dtype.kind == "f":

@@ -83,9 +83,8 @@ class RuntimeNetwork(Network):
 def on_backend(network: Network, backend: BackendName | None = None, precision: Precision | None = None) -> Network:
     """A network, in evaluation mode, as a backend computes it in a precision; with torch `folded`.
 
-    backend, precision: by default torch and float32; for a `RuntimeNetwork`, its own runtime and precision. Raises
-    BadConfig for an unknown backend, a precision that it does not have, and a network that cannot be written as ONNX;
-    MissingLibrary, naming the extra.
+    backend, precision: by default torch and float32; for a `RuntimeNetwork`, its own. Raises BadConfig for an unknown
+    backend, a precision that it lacks, and a network that cannot be written as ONNX; MissingLibrary, naming the extra.
     """
     check_network(network)
     if isinstance(network, FlipAverage):

@@ -127,10 +127,7 @@ def _check_trace(network: Network, graph: bytes) -> None:
 
 
 def scores_part(model: Any) -> Any:
-    """The part of an `answer_graph` from `RANGE` to `SCORES`, an onnx.ModelProto.
-
-    Raises BadConfig for a graph that does not have these values.
-    """
+    """The part of an `answer_graph` from `RANGE` to `SCORES`, an onnx.ModelProto. Raises BadConfig for one without."""
     onnx = import_onnx()
     whole = onnx.ModelProto()
     whole.CopyFrom(model)

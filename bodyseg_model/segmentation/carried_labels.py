@@ -358,8 +358,7 @@ def part_shifts(places: Floats, labels: Labels, earlier: Cells, larger: float = 
     0 where a part is small or would move too far.
 
     places: the cells after the rigid motion, float32 [M, 3]; labels: uint8 [M]; larger: area of an earlier cell, where
-    that of these is 1. The displacement is that of the part's middle; parts of which less or more was in view before
-    weigh less.
+    that of these is 1. Displacements are of the middle; parts of which less or more was in view before weigh less.
     """
     (middles, areas), (old_middles, old_areas) = _parts(places, labels), _parts(earlier.points, earlier.labels)
     shifts, old_areas = old_middles - middles, larger * old_areas

@@ -39,10 +39,9 @@ def cut_people(
     what the finder takes for somebody and is so for at least half, in an image of the rig's camera.
 
     range_m, camera, finder: as of `find_bodies`. labels: uint8 [H, W], true classes of people's parts, 254 on other
-    surfaces, 255 where nothing was measured. A pixel has the label of the pixel of the frame that lies nearest. A view
-    that is larger than the image, as of who lies, is yielded in as few windows as hold all of them. larger: rows and
-    columns of the image; only people who are larger than the camera's are then yielded. Raises as `find_bodies`;
-    MissingLibrary without SciPy.
+    surfaces, 255 where nothing was measured. A pixel has the label of the frame's nearest pixel. A view larger than the
+    image, as of who lies, is yielded in as few windows as hold all of them. larger: rows and columns of the image; only
+    people who are larger than the camera's are then yielded. Raises as `find_bodies`; MissingLibrary without SciPy.
     """
     required("scipy", "cutting people out of frames", "segment")
     from scipy.ndimage import distance_transform_edt

@@ -79,8 +79,7 @@ class FrameLabeller:
     device: "cpu", "cuda", "cuda:1" ...; by default a GPU if there is one.
     turned: degrees by which the camera is mounted turned clockwise, as seen from behind it: 0; 90, heads point left in
     its frames; 180, down; 270, right; "auto", for recordings: the turn at which the network is surest of a person in
-    four frames with people; by default the roll of the frames' camera. Frames are turned upright to be labelled, and
-    labels back.
+    four frames with people; by default the roll of the frames' camera. Frames are turned upright, and labels back.
     labels: coarser classes to give, of which the network's are parts: a label map, its name or file (`load_label_map`).
 
     Raises BadConfig for classes that the network's cannot be joined to, for another turn, for `finder` or `keep_things`
@@ -241,8 +240,7 @@ class FrameLabeller:
         source: a path, or several, of PNGs, folders or recordings, read with `topic` and `step_m` as by `find_frames`;
         or frames that it found. rig, focal_px, centre_px: the camera, as of `frame_camera`; by default the one that
         recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
-        frames that cannot be read, or recordings that cannot be opened. Raises BadConfig as `find_frames` and
-        `FrameCameras`; MissingLibrary.
+        frames or recordings that cannot be read. Raises BadConfig as `find_frames` and `FrameCameras`; MissingLibrary.
         """
         given = [source] if isinstance(source, (str, Path, Frame)) else list(source)
         paths = [Path(each) for each in given if isinstance(each, (str, Path))]

@@ -62,8 +62,7 @@ def code_of(part: int, other: int | None = None) -> int:
 
 
 def feature_points(answer: Any, codes: NDArray[np.int64]) -> Floats:
-    """Centroids of features of every person, float64 [people, F, 3], metres, in the camera's frame; NaN of those that
-    too few pixels show.
+    """Centroids of people's features, float64 [people, F, 3], metres, camera's frame; NaN where too few pixels show.
 
     answer: a `Segmentation`. codes: int64 [F], of `code_of`, each once.
     """
@@ -76,8 +75,7 @@ def feature_points(answer: Any, codes: NDArray[np.int64]) -> Floats:
     known = (place >= 0) & (parts["pixels"] >= LEAST_PIXELS)
     found[parts["person"][known].astype(np.int64) - 1, place[known]] = parts["centroid_m"][known]
 
-    # Neighbours of one person that have two labels: to the right, where a run ends; and below, whose pixel may come
-    # anywhere in the list.
+    # Neighbours of one person with two labels: to the right, where a run ends; and below, anywhere in the list.
     first = seen.begin[1:] - 1
     first = first[(seen.pixels[first] + 1 == seen.pixels[first + 1]) & (seen.column[first + 1] > 0)]
     first = first[seen.person[first] == seen.person[first + 1]]

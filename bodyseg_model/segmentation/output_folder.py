@@ -99,9 +99,8 @@ class OutputFolder:
                     )
 
     def begin(self) -> None:
-        """Make the folders. An earlier summary goes first, so that a summary is always of all results; then images of
-        the earlier call that this one does not replace, the folders that they leave empty, and its preview and legend.
-        Raises BadConfig.
+        """Make the folders. An earlier summary goes first, so that a summary is always of all results; then the earlier
+        call's images that this one does not replace, folders left empty, its preview and legend. Raises BadConfig.
         """
         with reported(f"cannot write {self.path}", BadConfig, OSError):
             kept = {self.image(kind, frame["name"]) for kind in self.kinds for frame in self._frames}

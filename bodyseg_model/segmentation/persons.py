@@ -47,8 +47,7 @@ Records = NDArray[np.void]
 
 
 class SurfacePixels:
-    """The pixels of people that have a range, each person's in reading order, and their runs: pixels of one part, side
-    by side in a row, which are far fewer.
+    """The pixels of people that have a range, each person's in reading order, and runs of one part within a row.
 
     pixels: int64 [N], row * W + column. person: uint16 [N], from 1. label: uint8 [N]. keys: uint32 [N], 256 x person +
     label. row, column: int32 [N]. confidence: float32 [N]. x, y, z: float32 [N], metres, in the camera's frame. across,

@@ -50,10 +50,9 @@ def draw_overlay(
 ) -> NDArray[np.uint8]:
     """Draw one frame, sRGB uint8 [H, W, 3].
 
-    range_m: [H, W], metres. labels: uint8 [H, W], classes of `label_map`; any other value on a body is drawn grey.
-    bodies: flat indices of each body's pixels. Near surfaces are light and far ones dark, for every body by itself and
-    for the room, which is darker than any body; pixels that were not measured are nearly black. Raises
-    MissingLibrary without numba.
+    range_m: [H, W], metres. labels: uint8 [H, W], classes of `label_map`; others on a body are drawn grey. bodies: flat
+    indices of each body's pixels. Near surfaces are light and far ones dark, for every body by itself and for the room,
+    which is darker than any body; pixels that were not measured are nearly black. Raises MissingLibrary without numba.
     """
     loops, table = compiled_loops(), _table(label_map)
     flat, label = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()

@@ -195,9 +195,8 @@ class Turn(NamedTuple):
     """The mapping between the image planes of a frame's camera and of a view from the same point.
 
     camera_x, camera_y, camera_focal: principal point and focal length of the camera, pixels; view_x, view_y,
-    view_focal: of the view, which is rotated to the frame's right by an angle of that sine and cosine. sign: -1 if the
-    frame shows left for right, else 1. A ray (x, y, 1) of the frame is (x cos - sin, y, x sin + cos) after the
-    rotation.
+    view_focal: of the view, rotated to the frame's right by an angle of that sine and cosine. sign: -1 if the frame
+    shows left for right, else 1. A ray (x, y, 1) of the frame is (x cos - sin, y, x sin + cos) after the rotation.
     """
 
     camera_x: float

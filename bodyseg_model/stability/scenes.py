@@ -62,8 +62,7 @@ CLEAN: Final[dict[Origin, SweepPoint]] = {"stored": SweepPoint("clean"), "render
 class Sweep:
     """One corruption. strengths: in rising severity; the first is clean.
 
-    origin: "stored" if stored samples are corrupted, "rendered" if bodies are rendered anew. counts: True if it enters
-    mCE and mRR.
+    origin: "stored" if stored samples are corrupted, "rendered" if bodies are rendered anew. counts: in mCE and mRR.
     """
 
     title: str

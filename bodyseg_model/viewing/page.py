@@ -60,8 +60,7 @@ class Guard:
     def refusal(self, path: str, hosts: list[str], origins: list[str]) -> str | None:
         """Say why a request with a path and headers Host and Origin is refused; None if it is served.
 
-        A name that leads here but is not of this host may be another page's, whose scripts would pass for this one's; a
-        number cannot be.
+        A foreign name that leads here may be another page's, whose scripts would pass for this one's; a number cannot.
         """
         if not hmac.compare_digest(path.lstrip("/").split("/")[0].split("?")[0].encode(), self.token.encode()):
             return "open the address that bodyseg view printed: the token in it is missing or of another page"

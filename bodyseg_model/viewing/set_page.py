@@ -137,8 +137,7 @@ class SetPage(Controls):
     def choose(self, split: str, where: str, only: str) -> None:
         """Show other samples of the set, from the first on; where it refuses, say so and keep what is shown.
 
-        split: one of `SPLITS`, or anything else for all. where, only: conditions and patterns as a shell would divide
-        them into words.
+        split: one of `SPLITS`, else all. where, only: conditions and patterns, divided into words as by a shell.
         """
         chosen: ReadSplit | None = next((each for each in READ_SPLITS if each == split), None)
         try:

@@ -48,8 +48,7 @@ class ImageCodec(Protocol):
         """Encode as members: name -> bytes. camera [H, W] and projector [Hp, Wp]: ranges, steps, 0 background.
 
         labels: of the set's classes, 254 on surfaces of none, 255 exactly where camera is 0. facing: bits `FACING` and
-        `SECOND_FACING`, 0 on background. projector: None for a sample without it. Raises ValueError for images that the
-        codec cannot hold.
+        `SECOND_FACING`, 0 on background. projector: None without it. Raises ValueError for what the codec cannot hold.
         """
 
     def decode(

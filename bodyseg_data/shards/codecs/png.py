@@ -82,10 +82,7 @@ def check_checksums(chunks: Sequence[Chunk]) -> None:
 
 
 def decode_png(data: bytes) -> NDArray[Any]:
-    """Decode a greyscale PNG to an image [H, W], uint8 or uint16.
-
-    Raises ValueError for other files and sides over `MAX_SIDE`.
-    """
+    """Decode a greyscale PNG to uint8 or uint16 [H, W]. Raises ValueError for other files and sides over `MAX_SIDE`."""
     with reported(_UNREADABLE, ValueError):
         chunks = read_chunks(data)
         read_header(chunks[0])

@@ -55,10 +55,7 @@ _LONGEST_MAGIC: Final = max(len(magic) for each in FORMATS.values() for magic in
 
 
 def find_format(path: Path) -> Format | None:
-    """Tell the format of a file or folder by its content, or else by its suffix; None for one of no format.
-
-    Raises BadConfig for a path that cannot be read.
-    """
+    """Tell a path's format by content, else by suffix; None for no format. Raises BadConfig if it cannot be read."""
     if path.is_dir():
         return next((each for each in FORMATS.values() if each.entry and (path / each.entry).is_file()), None)
     with reported(f"cannot read {path}", BadConfig, OSError):

@@ -1,7 +1,6 @@
 """Recordings in NumPy's files: H x W or N x H x W in an NPY file, or arrays of an NPZ file.
 
-A last side of 1 may stand behind either, and N x 1 x H x W is read, too. A last side of 2 to 4 is colours, which are
-refused by their shape.
+A last side of 1 may follow either, and N x 1 x H x W is read, too. One of 2 to 4 is colours, which are refused.
 """
 
 from __future__ import annotations

@@ -19,10 +19,7 @@ _BIG: Final = 43  # version of a TIFF with offsets of 64 bits
 
 
 def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
-    """Open a TIFF whose pages are whole numbers, steps, or floating point, metres (step_m: metres that 1.0 is).
-
-    Raises BadConfig.
-    """
+    """Open a TIFF of whole numbers, steps, or floating point, metres (step_m: metres that 1.0 is). Raises BadConfig."""
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found a TIFF: {path}")
     pages = _Pages(path)
