@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         check_int,
         one_line,
         reported,
-        words_of,
     )
     from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, silent
     from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, uniform

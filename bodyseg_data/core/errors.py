@@ -27,18 +27,18 @@ def one_line(text: str) -> str:
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
-def words_of(error: BaseException) -> str:
-    """Type and text of an error of any code, in one line; the type alone where asking for the text fails."""
-    with suppress(Exception):
-        return " ".join(f"{type(error).__name__}: {error}".split())
-    return type(error).__name__
-
-
 class BodysegError(Exception):
     """Base of every error that this project raises on purpose; its text is always one printable line."""
 
     def __str__(self) -> str:
         return one_line(super().__str__())
+
+    @staticmethod
+    def words_of(error: BaseException) -> str:
+        """Type and text of an error of any code, in one line; the type alone where asking for the text fails."""
+        with suppress(Exception):
+            return " ".join(f"{type(error).__name__}: {error}".split())
+        return type(error).__name__
 
     @classmethod
     @contextmanager
@@ -51,7 +51,7 @@ class BodysegError(Exception):
         except Exception as error:
             if isinstance(error, passes or BodysegError):
                 raise
-            failed = cls(f"{where}: {words_of(error)}")
+            failed = cls(f"{where}: {cls.words_of(error)}")
             failed.add_note("".join(traceback.format_exception(error)))
             raise failed from error
 

@@ -23,7 +23,7 @@ from multiprocessing.reduction import ForkingPickler
 from queue import Empty, SimpleQueue
 from typing import Any, Final, Literal, Protocol
 
-from bodyseg_data.core import BadConfig, BodysegError, words_of
+from bodyseg_data.core import BadConfig, BodysegError
 
 
 class WorkerLost(BodysegError):
@@ -99,7 +99,7 @@ def handle(work: Callable[[Any], Any], request: Any) -> Any:
     try:
         return work(request)
     except BaseException as error:
-        return Failure(words_of(error), traceback.format_exc())
+        return Failure(BodysegError.words_of(error), traceback.format_exc())
 
 
 def checked_result(found: Any, worker: str) -> Any:
@@ -296,7 +296,7 @@ class _Carried:
         try:
             return self._work or pickle.loads(self._packed)
         except Exception as error:
-            return partial(_fail, f"unpickled in a worker: {words_of(error)}")
+            return partial(_fail, f"unpickled in a worker: {BodysegError.words_of(error)}")
 
 
 def _fail(why: str, request: Any = None) -> Any:

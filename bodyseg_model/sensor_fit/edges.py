@@ -74,6 +74,7 @@ _LEAST_DEPTH_M: Final = 0.2
 _ONE_SIDED: Final = 1.25  # least ratio of the wider to the narrower shadow that gives a side
 _MIDDLE: Final = (0.2, 0.8)
 _MARGIN: Final = 3
+_MIXED_M: Final = 0.05  # least step from a body's pixel to a mixed one beside it; limbs curve by less
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,9 @@ def _gaps(frame: MarkedFrame, focal_px: float, side: Side) -> Floats:
     rows = np.flatnonzero((last >= 0) & (first < len(columns) - _MARGIN))
     # A wall goes on beside its first pixel; a flying pixel is alone.
     steady = room[rows[:, None], first[rows, None] + np.arange(_MARGIN)].all(1)
-    ends = np.maximum(last[rows] - np.arange(_MARGIN)[:, None], 0)  # the last pixel may be a mixed one, farther away
-    near, far = np.where(body[rows, ends], range_m[rows, ends], np.inf).min(0), range_m[rows, first[rows]]
+    near, far = range_m[rows, last[rows]], range_m[rows, first[rows]]
+    for inner in range(1, _MARGIN):  # the last pixels may be mixed ones, farther away
+        at = np.maximum(last[rows] - inner, 0)
+        near = np.where(body[rows, at] & (near - range_m[rows, at] > _MIXED_M), range_m[rows, at], near)
     found = np.stack([(first - last - 1)[rows].astype(np.float64), focal_px * (1 / near - 1 / far)])
     return found[:, steady & (far - near >= _LEAST_DEPTH_M)]

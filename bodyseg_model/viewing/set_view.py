@@ -112,7 +112,7 @@ class SetView:
         seed: int = 0,
         labels: str | Path | LabelMap | None = None,
     ) -> None:
-        opened = partial(RangeImages, path, "none", split, seed, only=only, where=where, val_share=val_share)
+        opened = partial(RangeImages, path, "none", split, seed, only=only or (), where=where, val_share=val_share)
         self.images = opened()
         self.path, self.trained, self.val_share, self.seed = path, trained, val_share, seed
         own = self.images.label_map

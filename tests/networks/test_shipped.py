@@ -54,11 +54,13 @@ def test_the_large_network_says_where_it_is_from_and_how_good_it_is() -> None:
         assert large[name] == compact[name], name
     assert large["variant"] == "all, none"
     assert large["recipe"]["optimiser"] == "muon" and large["recipe"]["start_share"] == 0.5
-    once = large["pretrained"]
-    assert once["recipe"]["start_share"] == 0.5
+    twice = large["pretrained"]
+    once = twice["pretrained"]
+    assert twice["recipe"]["start_share"] == once["recipe"]["start_share"] == 0.5
     before = once["pretrained"]["mean_of"][0]
     assert before["mean_of"][0]["mean_of"][0]["pretrained"] is None
-    assert {round(each["weight"], 9) for each in large["data"]["turns"]} == {6.0, 1.3}
+    assert {round(each["weight"], 9) for each in large["data"]["turns"]} == {6.1, 1.4}
+    assert {round(each["weight"], 9) for each in twice["data"]["turns"]} == {6.0, 1.3}
     assert {each["weight"] for each in once["data"]["turns"]} == {4.4, 1.3}
     for name in ("command", "commit", "hardware", "data", "least_confidence_of_people"):
         assert large[name], name

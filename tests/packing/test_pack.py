@@ -364,19 +364,25 @@ def test_any_number_of_workers_gives_the_same_bytes(figures_set: Path, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("table", "line", "seen_by"),
-    [("[camera]", "centre_px = [40.0, 600.0]", "camera sees"), ("[projector]", "roll_deg = 170.0", "")],
+    ("tables", "line", "seen_by"),
+    [
+        (["[camera]", "[projector]"], "centre_px = [40.0, 600.0]", "camera sees"),
+        (["[projector]"], "roll_deg = 170.0", ""),
+    ],
 )
 @pytest.mark.usefixtures("packing_here")
 def test_a_rig_that_sees_nothing_is_told(
-    table: str,
+    tables: list[str],
     line: str,
     seen_by: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rig = tmp_path / "rig.toml"
-    rig.write_text(SMALL_FILE.read_text().replace(table, f"{table}\n{line}"))
+    text = SMALL_FILE.read_text()
+    for table in tables:
+        text = text.replace(table, f"{table}\n{line}")
+    rig.write_text(text)
     monkeypatch.setitem(SOURCES, "open", Figures)
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")

@@ -57,7 +57,7 @@ def test_the_assumed_sensors_have_a_size_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("shape", "options", "message"),
     [
-        ((1, 1), {}, r"frames of 1 x 1 pixels: give --focal or --rig \(a.png\)$"),
+        ((1, 1), {}, r"frames of 1 rows of 1 pixels: give --focal or --rig \(a.png\)$"),
         ("kinect_v1", {}, r"^shape must be \(rows, columns\), found 'kinect_v1': "),
         (525.0, {}, r"^shape must be \(rows, columns\), found 525.0: "),
         ((30, 40), {"rig": "paper"}, "the rig's camera, 640 x 329, found 30 x 40: a.png"),

@@ -127,9 +127,9 @@ def test_classes_are_weighed_by_their_pixels(small_set: Path, tmp_path: Path, mo
     pixels = np.zeros(14, np.int64)
     for index in range(len(images)):
         pixels += np.bincount(images[index]["labels"].numpy().ravel(), minlength=256)[:14]
-    asked: list[list[int]] = []
+    asked: list[list[float]] = []
 
-    def weights(counts: np.ndarray[tuple[int], np.dtype[np.int64]], balance: float) -> torch.Tensor:
+    def weights(counts: np.ndarray[tuple[int], np.dtype[np.float64]], balance: float) -> torch.Tensor:
         asked.append(counts.tolist())
         return part_weights(counts, balance)
 
@@ -140,4 +140,4 @@ def test_classes_are_weighed_by_their_pixels(small_set: Path, tmp_path: Path, mo
         network, "compact", images, recipe, RunFolder(tmp_path / "run"), ONE, run_options=RunOptions(1, 1, 0)
     )
     training.run(False, lambda _: None, {})
-    assert asked == [pixels.tolist()]
+    assert asked == [(pixels / len(images)).tolist()]
