@@ -279,7 +279,9 @@ class Reach:
         floor: float,
         resting: Sequence[NDArray[np.int64]] = (),
     ) -> None:
-        """normals: [V, 3]. floor: height, metres. resting: groups of vertices, the lowest of which rest on it."""
+        """normals: [V, 3], of the modelled surface. floor: its height, metres. resting: groups of the limb's vertices,
+        of each of which the lowest touches the floor.
+        """
         self._limb, self._base, self._obstacles, self._floor = limb, base, obstacles, floor
         self._resting = [limb.points(group, normals[group]) for group in resting]
         vertices = np.array([goal.vertex for goal in goals], np.int64)

@@ -202,7 +202,9 @@ def shown_near(found: Any, label: Any, z: Any, old: Any, lens: Any, rule: Any) -
 
 @_kernel
 def nearest(row: Any, column: Any, z: Any, old_range: Any, lens: Any, tolerance: Any, reach: Any, steps: Any) -> Any:
-    """The first pixel, by `steps` up to `reach`, whose old range is within `tolerance` of z, metres; -1 for none."""
+    """The first pixel, by `steps` up to `reach` from (row, column), whose old range is within `tolerance` of z, metres;
+    -1 for none.
+    """
     here = row * lens.columns + column
     inside = reach <= row < lens.rows - reach and reach <= column < lens.columns - reach
     for n in range(len(steps)):

@@ -168,7 +168,7 @@ class FinderView:
     def __call__(self, range_m: Ranges) -> Ranges:
         """Probability of a person at every pixel of a frame, float32 [H, W]; 0 where nothing is measured (0)."""
         seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1)))
-        for axis in () if self._same else (0, 1):  # which take a third of the time of both at once
+        for axis in () if self._same else (0, 1):  # one after the other: a third of the time
             if self._enlarged:
                 seen = _interpolated(seen, self._between[axis], axis)
             else:
