@@ -201,13 +201,15 @@ def parse_sensor(text: str, where: str) -> Sensor:
 
 def _check_light(rig: Rig, where: str) -> None:
     """Raise BadConfig if a projector lights nothing of the plane that the camera sees at the stand-off."""
-    points = rig.stand_off_m * rig.camera.scaled(1 / 16).pixel_rays().reshape(-1, 3)
-    for one in rig.by_projector():
-        device, (rotation, offset) = one.projector, one.camera_to_projector()
-        along, depth = np.split(points @ rotation.T + offset, [2], axis=1)
-        half = np.array([device.columns, device.rows]) / 2
-        from_middle = along * device.focal_px + (device.centre_px - half) * depth  # times the depth, which may be 0
-        if not ((depth > 0) & (np.abs(from_middle) < half * depth)).all(axis=1).any():
+    camera, *projectors = (
+        PlacedCamera(each, each.axes, np.array(each.position_m)) for each in (rig.camera, *rig.projectors)
+    )
+    points = camera.to_body(rig.stand_off_m * rig.camera.scaled(1 / 16).pixel_rays().reshape(-1, 3))
+    for placed in projectors:
+        device = placed.camera
+        with np.errstate(divide="ignore", invalid="ignore"):  # points beside the projector
+            at, depth = placed.project(points)
+        if not ((depth > 0) & ((at > 0) & (at < (device.columns, device.rows))).all(axis=1)).any():
             raise BadConfig(
                 f"{where}: a projector must light something that the camera sees {rig.stand_off_m:g} m away: "
                 f"found one at {list(device.position_m)} m that aims at {list(device.aims_at_m)} (x right, z ahead)"

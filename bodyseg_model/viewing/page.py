@@ -308,7 +308,7 @@ class Page:
             except BodysegError as error:
                 self.warn(str(error))
             except Exception as error:  # of a user's artifact: the page goes on
-                self.warn(f"{type(error).__name__}: {error}")
+                self.warn(BodysegError.words_of(error))
 
         self._redrawing = Redrawing(redraw)
 
