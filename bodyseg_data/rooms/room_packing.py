@@ -28,7 +28,10 @@ from bodyseg_data.shards import CodecName, Manifest, read_manifest, shard_name
 
 _BLOCK: Final = 400
 _PEOPLE: Final = 20
-_SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
+_SOURCES: Final[dict[Split, tuple[str, ...]]] = {
+    "train": ("wide", "everyday", "candidates"),  # the third: for poses that one of the others has at most
+    "test": ("open", "hard"),
+}
 _Who = tuple[Split, tuple[str, ...]]  # split and poses of people
 _NAMES: Final = "words", "vertices", "faces", "labels", "distance", "shared faces", "distance there"
 _OWN_M: Final = 0.05, 4.0  # least and greatest size of a user's thing

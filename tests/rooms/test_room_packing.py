@@ -170,7 +170,7 @@ def test_the_command_plans_packs_and_refuses(
     assert planned == {"source": "rooms", "views": 3, "test": 3, "kinds": list(FURNISHINGS)}
     wrong = {
         "needs --samples": [],
-        "no body of wide and everyday has a pose like flying": ["--samples", "1", "--poses", "flying", "--plan"],
+        "no body of wide and everyday and candidates has a pose like flying": ["--samples", "1", "--poses", "flying", "--plan"],
         "samples must be": ["--samples", "0"],
         "found 'sofas'": ["--samples", "1", "--without", "sofas"],
         "--views does not go with --source rooms": ["--samples", "1", "--views", "2"],

@@ -278,7 +278,7 @@ def drawn_pose(index: int) -> Pose:
 
 
 EVERYDAY: Final = 1040
-CANDIDATES: Final = 570
+CANDIDATES: Final = 1900
 
 POSES_VERSION: Final = 1
 """Raised whenever a change of the sampler changes a pose, so that packed sets are told from each other."""
@@ -384,7 +384,7 @@ class EverydayBodies(MadeBodies):
 
 
 class CandidateBodies(EverydayBodies):
-    """Subset "candidates": 570 more people in the poses of `CANDIDATE_STANCES`, one of each for testing.
+    """Subset "candidates": 1 900 more people in the poses of `CANDIDATE_STANCES`, one of each for testing.
 
     `bench mining` finds those of them that a network labels worst, to train it further.
     """
