@@ -195,7 +195,7 @@ def people_of(split: Split, poses: tuple[str, ...]) -> list[tuple[BodySource, li
     """The sources of a split's people that have bodies in such poses, with these. Raises BadConfig if none has."""
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
-    chosen = {*in_poses([*itertools.chain(*listed)], poses, " and ".join(_SOURCES[split]))}
+    chosen = {*in_poses([*itertools.chain(*listed)], poses, " or ".join(_SOURCES[split]))}
     kept = [[body for body in bodies if body in chosen] for bodies in listed]
     return [(source, bodies) for source, bodies in zip(sources, kept, strict=True) if bodies]
 

@@ -170,7 +170,7 @@ def test_the_command_plans_packs_and_refuses(
     assert planned == {"source": "rooms", "views": 3, "test": 3, "kinds": list(FURNISHINGS)}
     wrong = {
         "needs --samples": [],
-        "no body of wide and everyday and candidates has a pose like flying": ["--samples", "1", "--poses", "flying", "--plan"],
+        "everyday or candidates has a pose like flying": ["--samples", "1", "--poses", "flying", "--plan"],
         "samples must be": ["--samples", "0"],
         "found 'sofas'": ["--samples", "1", "--without", "sofas"],
         "--views does not go with --source rooms": ["--samples", "1", "--views", "2"],
@@ -201,7 +201,7 @@ def test_people_are_drawn_by_their_block_and_split(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(room_packing, "reduced_body", lambda body, *_: body)
     monkeypatch.setattr(room_packing, "_PEOPLE", 4)
     one, again, other = ([each.mesh.name for each in room_packing.draw_people("train", block)] for block in (2, 2, 3))
-    assert (len(one), names) == (4, ["wide", "everyday"] * 3)
+    assert (len(one), names) == (4, ["wide", "everyday", "candidates"] * 3)
     assert one == again != other
     assert "mesh2" not in {*one, *other}
 
@@ -214,19 +214,28 @@ class Sitters(Listed):
         return [BodyRef("B", "one", f"mesh{number + 9}", pose, "train") for number, pose in enumerate(poses)]
 
 
+class Walkers(Listed):
+    """Somebody who walks."""
+
+    def bodies(self) -> list[BodyRef]:
+        return [BodyRef("C", "one", "mesh23", "walking", "train")]
+
+
 def test_people_are_in_the_poses_asked_for(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sources = {"wide": Listed(), "everyday": Sitters()}
+    sources = {"wide": Listed(), "everyday": Sitters(), "candidates": Walkers()}
     monkeypatch.setattr(room_packing, "open_source", sources.get)
     monkeypatch.setattr(room_packing, "reduced_body", lambda body, *_: body)
     drawn = room_packing.draw_people("train", 0, ("sit*", "on_*"))  # only one source has such
     assert {person.pose for person in drawn} == {"sitting", "on_a_chair"} and len(drawn) == 20
     assert "standing" in {person.pose for person in room_packing.draw_people("train", 0)}
+    assert {person.mesh.name for person in room_packing.draw_people("train", 0, ("w*",))} >= {"mesh13", "mesh23"}
+    assert "mesh23" not in {person.mesh.name for person in room_packing.draw_people("train", 0)}
     words = ["shard", "--source", "rooms", "--samples", "1", "--workers", "1", "--out", str(tmp_path / "set")]
     assert main([*words, "--poses", "swims"]) == 2
-    told = "no body of wide and everyday has a pose like swims; its poses: on_a_chair, sitting, standing, walking\n"
-    assert capsys.readouterr().err.endswith(told)
+    told = "has a pose like swims; its poses: on_a_chair, sitting, standing, walking"
+    assert capsys.readouterr().err.endswith(f"no body of wide or everyday or candidates {told}\n")
     assert not (tmp_path / "set").exists()
 
 
