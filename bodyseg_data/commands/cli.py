@@ -99,9 +99,9 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
             raise
         if isinstance(error, UnicodeEncodeError) and error.encoding == "utf-8":  # of a library that opens files itself
             return _say(command, f"a path must be UTF-8 here, found {error.object!r:.200}", 2)
-        if str(error) == "can't start new thread":
+        what = BodysegError.words_of(error)
+        if what == "RuntimeError: can't start new thread":
             return _say(command, "no thread can be started: ulimit -u or the container allows no more", 2)
-        what = f"{type(error).__name__}: {error}"
         return _say(command, f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
         warnings.formatwarning = plain

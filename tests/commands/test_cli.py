@@ -268,6 +268,19 @@ def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
     assert main(["verify", "x"]) == cli.INTERNAL_ERROR
     line = "bodyseg verify: internal error: ZeroDivisionError: by zero indeed (BODYSEG_TRACEBACK=1 shows where)\n"
     assert capsys.readouterr().err == line
+
+    class Wordless(Exception):
+        def __str__(self) -> str:
+            raise ValueError
+
+    def fail_without_words(options: object) -> int:
+        raise Wordless
+
+    with monkeypatch.context() as patched:
+        patched.setattr(verify, "run", fail_without_words)
+        assert main(["verify", "x"]) == cli.INTERNAL_ERROR
+    assert ": internal error: Wordless (BODYSEG_TRACEBACK=1" in capsys.readouterr().err
+
     monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
         main(["verify", "x"])
